@@ -1,0 +1,1 @@
+"""The running program: sources, drivers, engine, recording, sinks and the command line."""

@@ -1,0 +1,122 @@
+"""What the engine hands to its sinks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+from nav.types import Mode, Solution
+
+
+class Reject(IntEnum):
+    """Why a frame or a sample was not used; counted per device."""
+
+    LENGTH = 0  # payload too short or too long
+    CRC = 1
+    COUNTER = 2  # alive counter stuck or repeated
+    RANGE = 3  # a value outside its declared range, or not a number
+    STALE = 4  # older than the navigator can rewind to, or time ran backwards
+    INCOMPLETE = 5  # an epoch of several frames that never came together
+    UNKNOWN = 6  # an identifier nobody subscribed to
+    GATE = 7  # the innovation failed its chi-square test
+    INVALID = 8  # the device itself marks the value as not valid
+    SATURATED = 9
+
+
+class Severity(IntEnum):
+    """MAVLink's MAV_SEVERITY."""
+
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+@dataclass(frozen=True, slots=True)
+class SolutionOut:
+    """A navigator's new solution; ``latest_rx_ns`` is the frame that completed it."""
+
+    navigator: str
+    solution: Solution
+    latest_rx_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ModeChange:
+    """A navigator changed its mode, and why."""
+
+    t_ns: int
+    navigator: str
+    old: Mode
+    new: Mode
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """One measurement against its prediction: residuals and their predicted sigmas, SI units."""
+
+    t_ns: int
+    navigator: str
+    kind: str
+    residual: tuple[float, ...]
+    sigma: tuple[float, ...]
+    nis: float
+    accepted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceHealth:
+    """Counters of one device since the start."""
+
+    frames: int = 0
+    samples: int = 0
+    missing: int = 0
+    bridged: int = 0
+    duplicates: int = 0
+    rejects: dict[Reject, int] = field(default_factory=dict)
+    rate_hz: float = 0.0
+    age_ms: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """Once a second: every device, the bus and the recorder."""
+
+    t_ns: int
+    devices: dict[str, DeviceHealth]
+    unknown_frames: int
+    dropped_frames: int
+    unrecorded_frames: int
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A line for the operator."""
+
+    t_ns: int
+    severity: Severity
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """Link ``index`` of a navigator's digest chain: one per second of engine time."""
+
+    t_ns: int
+    navigator: str
+    index: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Transmit:
+    """A frame to send: CAN payload with its identifier, or a whole MAVLink packet."""
+
+    source: int
+    key: int
+    data: bytes
+
+
+Output = SolutionOut | ModeChange | Innovation | Health | Text | Checkpoint | Transmit

@@ -1,0 +1,1 @@
+"""The wire contract: DBC files, their codec, end-to-end protection and units."""

@@ -1,0 +1,39 @@
+"""The one way a kernel is compiled.
+
+Compiled kernels are cached in a folder named after a hash over all sources of nav/: numba's own
+staleness check looks at the file of the kernel alone and misses a callee edited elsewhere.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar, cast
+
+import numba
+from numba import config
+
+F = TypeVar("F", bound=Callable[..., object])
+
+
+def _cache_folder() -> str:
+    sources = hashlib.sha256()
+    root = Path(__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        sources.update(str(path.relative_to(root)).encode())
+        sources.update(path.read_bytes())
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return str(Path(base) / "navbridge" / "kernels" / sources.hexdigest()[:16])
+
+
+config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR") or _cache_folder()
+
+
+def kernel(function: F) -> F:
+    """Compile ``function`` to machine code at its first call, IEEE arithmetic in source order.
+
+    No fastmath: results must be those of the readable twin and the same in every process.
+    """
+    return cast(F, numba.njit(cache=True, error_model="numpy")(function))
