@@ -1,0 +1,1 @@
+"""Alignment: finding the attitude at which navigation starts."""

@@ -1,0 +1,1 @@
+"""Inertial sensors: from pulses to increments of angle and velocity."""
