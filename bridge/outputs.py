@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from nav.types import Mode, Solution
+from nav.types import GnssFix, Mode, Solution
 
 
 class Reject(IntEnum):
@@ -51,6 +51,25 @@ class ModeChange:
     old: Mode
     new: Mode
     reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far an alignment or a catch-up has come: ``fraction`` 0 to 1, and what it is doing."""
+
+    t_ns: int
+    navigator: str
+    stage: str
+    fraction: float
+
+
+@dataclass(frozen=True, slots=True)
+class FixOut:
+    """A GNSS fix as its driver assembled it, before any gate; for those who show or log it."""
+
+    t_ns: int
+    device: str
+    fix: GnssFix
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,4 +138,4 @@ class Transmit:
     data: bytes
 
 
-Output = SolutionOut | ModeChange | Innovation | Health | Text | Checkpoint | Transmit
+Output = SolutionOut | ModeChange | Progress | FixOut | Innovation | Health | Text | Checkpoint | Transmit
