@@ -11,6 +11,7 @@ follow the host's; a system call costs about 15 us and reading a clock is one; `
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
 import shutil
@@ -69,10 +70,8 @@ class Missing:
 
 def _group_kill(process: subprocess.Popen[bytes]) -> None:
     """End a process and all it started; it was made leader of its own session."""
-    try:
+    with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
     process.wait(timeout=30)
 
 
