@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Generic, TypeVar
 
-from nav.types import Vector
+import numpy as np
+
+from nav.types import Sample, Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,3 +59,100 @@ class NavInit:
     sigma_accel_bias: Vector
     C_vb: Vector | None = None
     sigma_mounting: Vector | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlignConfig:
+    """What an alignment must know about sensors, place and time; SI units.
+
+    ``gyro_bias`` rad/s, ``accel_bias`` m/s^2: standard deviation of the constant error of one sensor that
+    is left after compensation; ``angle_random_walk`` rad/sqrt(s), ``velocity_random_walk`` m/s/sqrt(s).
+    ``coarse_s``, ``fine_s``: durations of a static alignment. ``position`` (lat rad, lon rad, height m)
+    replaces a GNSS position where given. ``gnss_lever_arm`` (3,) m from IMU to antenna in b. ``C_vb``
+    (3, 3) is the mounting where known; None has it estimated. ``sigma_heading`` rad ends an alignment in
+    motion, ``window_s`` bounds the motion it looks at, ``rest_s`` is the standstill it takes for levelling
+    when the vehicle grants it. ``slope`` rad: standard deviation of the ground's inclination where the
+    vehicle stands at first.
+    """
+
+    gyro_bias: float
+    accel_bias: float
+    angle_random_walk: float
+    velocity_random_walk: float
+    coarse_s: float = 60.0
+    fine_s: float = 240.0
+    position: tuple[float, float, float] | None = None
+    gnss_lever_arm: Vector = field(default_factory=lambda: np.zeros(3))
+    C_vb: Vector | None = None
+    sigma_heading: float = math.radians(2.0)
+    window_s: float = 40.0
+    rest_s: float = 5.0
+    slope: float = math.radians(2.0)
+
+
+State = TypeVar("State")
+
+
+@dataclass(frozen=True, slots=True)
+class Stage(Generic[State]):
+    """One step of an alignment: three pure functions around a state of its own.
+
+    ``init(config, given)`` starts from the previous stage's result (None for the first).
+    ``step(state, sample)`` takes any sample in the order of arrival, ignores the kinds it has no use for,
+    and returns the new state (the old one is used up) and its status. ``finish(state)`` hands over, at the
+    time of the last inertial sample; it may be called once the status said ``done``.
+    """
+
+    init: Callable[[AlignConfig, NavInit | None], State]
+    step: Callable[[State, Sample], tuple[State, AlignStatus]]
+    finish: Callable[[State], NavInit]
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """Stages in order, and the aids without which they cannot end: names of sample kinds ("gnss")."""
+
+    needs: frozenset[str]
+    stages: tuple[Stage[Any], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """An alignment under way: which stage, its state, and how often it had to start again."""
+
+    alignment: Alignment
+    config: AlignConfig
+    index: int
+    state: Any
+    restarts: int = 0
+
+
+def begin(alignment: Alignment, config: AlignConfig) -> Run:
+    """Start an alignment."""
+    return Run(alignment, config, 0, alignment.stages[0].init(config, None))
+
+
+def advance(run: Run, sample: Sample) -> tuple[Run, AlignStatus]:
+    """Give an alignment its next sample, in the order of arrival.
+
+    A stage that refuses sends the alignment back to its first stage; the status carries the reason once.
+    ``done`` is the whole alignment's; after it call `result`.
+    """
+    stages = run.alignment.stages
+    state, status = stages[run.index].step(run.state, sample)
+    progress = (run.index + min(1.0, status.progress)) / len(stages)
+    if status.refusal is not None:
+        state = stages[0].init(run.config, None)
+        return Run(run.alignment, run.config, 0, state, run.restarts + 1), replace(status, progress=0.0)
+    if not status.done:
+        return replace(run, state=state), replace(status, progress=progress)
+    if run.index + 1 == len(stages):
+        return replace(run, state=state), replace(status, progress=1.0)
+    given = stages[run.index].finish(state)
+    state = stages[run.index + 1].init(run.config, given)
+    return replace(run, index=run.index + 1, state=state), replace(status, progress=progress, done=False)
+
+
+def result(run: Run) -> NavInit:
+    """The hand-over of an alignment whose last status said ``done``."""
+    return run.alignment.stages[-1].finish(run.state)
