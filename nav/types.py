@@ -119,7 +119,8 @@ class GnssFix:
     """Antenna position (rad, rad, m above the ellipsoid) and velocity (3,) m/s east, north, up.
 
     ``sigma_position`` and ``sigma_velocity`` (3,) are standard deviations east, north, up (m, m/s);
-    ``v_g`` and ``sigma_velocity`` are None where the receiver gives no velocity.
+    ``v_g`` and ``sigma_velocity`` are None where the receiver gives no velocity. ``gps_ns`` is the
+    same instant as ``t_ns`` in nanoseconds of GPS time (since 6 January 1980) where the device tells.
     """
 
     t_ns: int
@@ -131,6 +132,8 @@ class GnssFix:
     sigma_velocity: Vector | None
     fix_type: FixType
     device: str
+    gps_ns: int | None = None
+    satellites: int | None = None
 
 
 Sample = ImuSample | OdoSample | SpeedSample | BaroSample | GnssFix
