@@ -29,7 +29,10 @@ def protect_p01(data: bytearray, data_id: int) -> None:
 
 
 def check_p01(data: bytes, data_id: int) -> bool:
-    """Whether byte 0 is the Profile 1 CRC of ``data`` (2 or more bytes) and ``data_id``."""
+    """Whether byte 0 is the Profile 1 CRC of ``data`` (2 or more bytes) and ``data_id``.
+
+    A frame with the invalid counter 15 fails too.
+    """
     return e2e_p01_check(bytearray(data), data_id)  # the library wants a writable buffer
 
 
