@@ -41,7 +41,9 @@ class NavInit:
     ``accel_bias`` (3,) m/s^2 in b are to be subtracted from the increments' rates, and are known to
     ``sigma_gyro_bias`` and ``sigma_accel_bias`` (3,). ``C_vb`` (3, 3) takes b to the vehicle axes, with
     ``sigma_mounting`` (3,) rad about right, forward, up of the vehicle; both are None where the alignment
-    has not estimated the mounting.
+    has not estimated the mounting. ``P`` (15, 15), where given, is the whole covariance with its
+    cross terms (the tilt of a levelled IMU is its accelerometer bias): errors, true minus
+    estimate, of position and velocity (east, north, up), phi, gyro bias, accelerometer bias.
     """
 
     t_ns: int
@@ -59,6 +61,7 @@ class NavInit:
     sigma_accel_bias: Vector
     C_vb: Vector | None = None
     sigma_mounting: Vector | None = None
+    P: Vector | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
