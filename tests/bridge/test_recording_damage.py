@@ -194,7 +194,7 @@ def test_a_full_disk_breaks_the_recording_and_not_the_run(
     frames = list(capture.frames())
     assert capture.damage is None
     marks = [item for item in frames if item.source == BRIDGE]
-    assert [int(item.data) for item in marks] == [seen]
+    assert sum(int(item.data) for item in marks) == seen > 0
     for before, after in pairwise(frames):
         skipped = after.seq - before.seq - 1
         assert skipped == (int(after.data) if after.source == BRIDGE else 0)
