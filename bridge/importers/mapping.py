@@ -1,0 +1,113 @@
+"""The mapping of a folder of tables to devices: which column is what, in which unit.
+
+A mapping is TOML. ``config`` names the bridge configuration that the capture is replayed with (a
+path relative to the mapping, or a packaged name). Each table ``[imu.NAME]``, ``[gnss.NAME]``,
+``[odometer.NAME]`` or ``[baro.NAME]`` stands for the device NAME of that configuration::
+
+    config = "bench.toml"
+
+    [imu.imu]
+    file = "imu.csv"
+    time = { column = "t", unit = "s" }
+    gyro = { columns = ["gx", "gy", "gz"], unit = "deg/s" }
+    accel = { columns = ["ax", "-az", "ay"], unit = "g" }
+
+A minus before a column's name turns its sign.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final
+
+from msgspec import Meta, field
+
+from bridge.options import NotNegative
+from bridge.strict import Table
+
+TIME: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+ANGLE: Final = {"deg": 1.0, "rad": 57.29577951308232, "1e-7 deg": 1e-7}
+LENGTH: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3}
+SPEED: Final = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6}
+RATE: Final = {"rad/s": 1.0, "deg/s": 0.017453292519943295, "deg/h": 4.84813681109536e-06}
+ACCEL: Final = {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3}
+PRESSURE: Final = {"Pa": 1.0, "hPa": 100.0, "kPa": 1000.0}
+COUNT: Final = {"1": 1.0}
+
+
+class Column(Table):
+    """One column and its unit."""
+
+    column: str
+    unit: str
+
+
+class Columns(Table):
+    """Three columns of one unit."""
+
+    columns: tuple[str, str, str]
+    unit: str
+
+
+class Choice(Table):
+    """A column of codes and what each stands for."""
+
+    column: str
+    values: dict[str, str]
+
+
+class Source(Table):
+    """What every table has: its file, its time, and how late its frames arrive.
+
+    ``delay_ms`` is the time from the instant measured to the frame's arrival.
+    """
+
+    file: str
+    time: Column
+    delay_ms: NotNegative = 0.0
+
+
+class Imu(Source):
+    """Angular rate and specific force, each held over the interval that ends at its time."""
+
+    gyro: Columns
+    accel: Columns
+    temperature_deg_c: float = 25.0
+
+
+class Gnss(Source):
+    """Fixes. ``time`` is GPS seconds of the week ``week``."""
+
+    week: Annotated[int, Meta(ge=0, le=4095)]
+    lat: Column
+    lon: Column
+    height: Column
+    sigma: Columns  # east, north, up
+    velocity: Columns | None = None  # east, north, up
+    sigma_velocity: Columns | None = None  # east, north, up
+    sigma_velocity_m_s: tuple[NotNegative, NotNegative, NotNegative] | None = None
+    fix_type: Choice | str = "FIX_3D"
+    satellites: Annotated[int, Meta(ge=0, le=63)] = 0
+    leap_seconds: Annotated[int, Meta(ge=0, le=255)] = 18
+
+
+class Odometer(Source):
+    """Forward speed, made into the ticks of the configuration's ``m_per_tick``."""
+
+    speed: Column
+
+
+class Baro(Source):
+    """Static pressure."""
+
+    pressure: Column
+    temperature_deg_c: float = 15.0
+
+
+class Mapping(Table):
+    """A mapping file."""
+
+    config: str
+    imu: dict[str, Imu] = field(default_factory=dict)
+    gnss: dict[str, Gnss] = field(default_factory=dict)
+    odometer: dict[str, Odometer] = field(default_factory=dict)
+    baro: dict[str, Baro] = field(default_factory=dict)

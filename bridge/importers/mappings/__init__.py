@@ -1,0 +1,1 @@
+"""Packaged mappings, with the configurations and calibrations they name."""
