@@ -1,0 +1,335 @@
+"""True motion of the simulated vehicle, exact to rounding.
+
+The vehicle's reference point (the middle of the rear axle, where a car does not slip sideways) is
+integrated in Earth-fixed axes; attitude follows the profile, and body rate and specific force of the
+inertial unit, at its lever arm, come from analytic derivatives of both. Increments are integrals of
+Chebyshev fits over pieces of at most one second, so any interval costs the same and none is
+approximated by its neighbours.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from virtual_bus import ellipsoid
+from virtual_bus.ellipsoid import G0, OMEGA
+from virtual_bus.manoeuvres import Profile
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+Channels = tuple[Array, Array, Array, Array]
+
+PIECE_NS: Final = 1_000_000_000
+NODES: Final = 18  # degree 17 over a second: truncation of every manoeuvre used is below rounding
+CHUNK: Final = 64  # pieces solved at a time
+_PICARD: Final = 9  # each round gains a factor of distance / Earth radius per chunk
+
+_X = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)[::-1]
+_FIT = np.linalg.inv(chebyshev.chebvander(_X, NODES - 1))
+# node values -> coefficients of the integral from the left end, on [-1, 1]
+_INTEGRAL = np.stack([chebyshev.chebint(_FIT[:, k], lbnd=-1) for k in range(NODES)], axis=1)
+_AT_NODES = chebyshev.chebvander(_X, NODES) @ _INTEGRAL
+_AT_END = np.ones(NODES + 1) @ _INTEGRAL
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """Where the instruments are, vehicle axes right-forward-up from the rear axle, m.
+
+    ``C_vb`` (3, 3) takes IMU axes to vehicle axes. The body leans ``roll_per_accel`` rad per m/s^2
+    outward in a curve and lifts its nose ``pitch_per_accel`` rad per m/s^2 when it accelerates.
+    """
+
+    imu: Array
+    C_vb: Array
+    roll_per_accel: float = 0.0
+    pitch_per_accel: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Motion of one point of the vehicle at n times; arrays (n,), (n, 3), (n, 3, 3)."""
+
+    lat: Array
+    lon: Array
+    height: Array
+    v_g: Array
+    C_gv: Array
+    w_iv_v: Array
+    f_v: Array
+    r_e: Array
+    v_e: Array
+
+
+@dataclass(frozen=True, slots=True)
+class TruthState:
+    """Truth at one instant, at the IMU or at another point: SI units, angles in rad.
+
+    ``v_g`` (3,) east, north, up; ``q_gv`` and ``q_gb`` (4,) w, x, y, z take vehicle and IMU axes to
+    east-north-up; ``w_ib_b``, ``f_b`` (3,) are what the IMU feels.
+    """
+
+    t_ns: int
+    lat: float
+    lon: float
+    height: float
+    v_g: Array
+    q_gv: Array
+    q_gb: Array
+    w_ib_b: Array
+    f_b: Array
+    roll: float
+    pitch: float
+    heading: float
+
+
+def mounting_matrix(pitch_deg: float, roll_deg: float, heading_deg: float) -> Array:
+    """C_vb (3, 3) of an IMU mounted at these angles to the vehicle, in the order heading, pitch, roll."""
+    angles = np.radians(np.array([[heading_deg, pitch_deg, roll_deg]]))
+    return np.asarray(_attitude(angles[:, 0], angles[:, 1], angles[:, 2])[0])
+
+
+def _attitude(heading: Array, pitch: Array, roll: Array) -> Array:
+    """C_gv (n, 3, 3) from vehicle axes to east-north-up: heading, then pitch, then roll."""
+    sh, ch, sp, cp = np.sin(heading), np.cos(heading), np.sin(pitch), np.cos(pitch)
+    sr, cr = np.sin(roll), np.cos(roll)
+    return np.stack(
+        (
+            np.stack((ch * cr + sh * sp * sr, sh * cp, ch * sr - sh * sp * cr), axis=-1),
+            np.stack((-sh * cr + ch * sp * sr, ch * cp, -sh * sr - ch * sp * cr), axis=-1),
+            np.stack((-cp * sr, sp, cp * cr), axis=-1),
+        ),
+        axis=-2,
+    )
+
+
+def _quaternion(C: Array) -> Array:
+    """Quaternion (4,) of a rotation matrix, scalar part not negative."""
+    # largest of the four squares first: never a division by something small
+    trace = float(np.trace(C))
+    squares = np.array([trace, C[0, 0], C[1, 1], C[2, 2]])
+    k = int(np.argmax(squares))
+    q = np.empty(4)
+    if k == 0:
+        q[:] = 1.0 + trace, C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]
+    else:
+        i, j, m = k - 1, k % 3, (k + 1) % 3
+        q[0] = C[m, j] - C[j, m]
+        q[1 + i] = 1.0 + C[i, i] - C[j, j] - C[m, m]
+        q[1 + j] = C[j, i] + C[i, j]
+        q[1 + m] = C[m, i] + C[i, m]
+    q /= math.sqrt(float(q @ q))
+    return -q if q[0] < 0.0 else q
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.stack(
+        (
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ),
+        axis=-1,
+    )
+
+
+def _down(C: Array, v: Array) -> Array:
+    """C^T v for stacks: a vector from the axes C maps to into the axes C maps from."""
+    return np.asarray((C * v[..., :, None]).sum(axis=-2))
+
+
+def _up(C: Array, v: Array) -> Array:
+    return np.asarray((C * v[..., None, :]).sum(axis=-1))
+
+
+class Trajectory:
+    """A profile driven over the ellipsoid from a starting point (rad, rad, m).
+
+    Times are nanoseconds since the start of the scenario, ``t_ns`` (n,) int64 within
+    [0, ``profile.end_ns``]; what lies outside is taken at the nearest end.
+    """
+
+    def __init__(self, profile: Profile, vehicle: Vehicle, lat: float, lon: float, height: float) -> None:
+        self.profile = profile
+        self.vehicle = vehicle
+        starts: list[int] = []
+        ends = [*profile.start_ns[1:].tolist(), profile.end_ns]
+        for t0, t1 in zip(profile.start_ns.tolist(), ends, strict=True):
+            count = -(-(t1 - t0) // PIECE_NS)
+            starts.extend(t0 + (t1 - t0) * k // count for k in range(count))
+        self._start_ns = np.array(starts, np.int64)
+        self._half = 0.5e-9 * np.diff(np.append(self._start_ns, profile.end_ns))
+        self._solved = 0
+        n = len(starts)
+        self._r0 = np.empty((n + 1, 3))
+        self._r0[0] = ellipsoid.to_ecef(np.array(lat), np.array(lon), np.array(height))
+        # integrals over a piece, (coefficient, displacement | dtheta | dv)
+        self._coef = np.empty((n, NODES + 1, 9))
+        self._total = np.empty((n, 6))
+
+    def increments(self, t_ns: Times) -> tuple[Array, Array]:
+        """Exact dtheta (n-1, 3) rad and dv (n-1, 3) m/s in IMU axes between the times ``t_ns`` (n,).
+
+        They are the integrals of w_ib_b and f_b in body axes, what ideal instruments count.
+        """
+        index, local = self._local(t_ns)
+        inside = local[:, 3:]
+        first, last = int(index[0]), int(index[-1])
+        # sums of whole pieces count from the first one asked for, so they stay small and exact
+        whole = np.zeros((last - first + 1, 6))
+        np.cumsum(self._total[first:last], axis=0, out=whole[1:])
+        out = np.diff(whole[index - first], axis=0) + np.diff(inside, axis=0)
+        return out[:, :3], out[:, 3:]
+
+    def motion(self, t_ns: Times, point: Array | None = None) -> Motion:
+        """Motion of the IMU, or of ``point`` (3,) m in vehicle axes from the rear axle."""
+        index, local = self._local(t_ns)
+        r_axle = self._r0[index] + local[:, :3]
+        return self._motion(self.profile.channels(t_ns), r_axle, self.vehicle.imu if point is None else point)
+
+    def state(self, t_ns: int, point: Array | None = None) -> TruthState:
+        """Truth at one instant; position and velocity are those of ``point`` (vehicle axes) or the IMU."""
+        t = np.array([t_ns], np.int64)
+        imu = self.motion(t)
+        at = imu if point is None else self.motion(t, point)
+        C_gv, C_vb = at.C_gv[0], self.vehicle.C_vb
+        return TruthState(
+            t_ns=t_ns,
+            lat=float(at.lat[0]),
+            lon=float(at.lon[0]),
+            height=float(at.height[0]),
+            v_g=at.v_g[0],
+            q_gv=_quaternion(C_gv),
+            q_gb=_quaternion(C_gv @ C_vb),
+            w_ib_b=C_vb.T @ imu.w_iv_v[0],
+            f_b=C_vb.T @ imu.f_v[0],
+            roll=math.atan2(-C_gv[2, 0], C_gv[2, 2]),
+            pitch=math.asin(max(-1.0, min(1.0, C_gv[2, 1]))),
+            heading=math.atan2(C_gv[0, 1], C_gv[1, 1]) % (2.0 * math.pi),
+        )
+
+    def _local(self, t_ns: Times) -> tuple[NDArray[np.intp], Array]:
+        """Piece of each time and the integrals (n, 9) from that piece's start."""
+        t_ns = np.clip(t_ns, 0, self.profile.end_ns)
+        index = np.searchsorted(self._start_ns, t_ns, side="right") - 1
+        while self._solved <= index.max():
+            self._solve_chunk()
+        half = self._half[index]
+        x = (t_ns - self._start_ns[index]) * 1e-9 / half - 1.0
+        basis = chebyshev.chebvander(x, NODES)
+        # grouped by piece: one small matrix product each
+        out = np.empty((len(t_ns), 9))
+        cuts = [0, *(np.flatnonzero(np.diff(index)) + 1).tolist(), len(t_ns)]
+        for a, b in pairwise(cuts):
+            out[a:b] = basis[a:b] @ self._coef[index[a]]
+        return index, out
+
+    def _solve_chunk(self) -> None:
+        """Integrate the next pieces: Picard's iteration over all their nodes at once."""
+        a, b = self._solved, min(self._solved + CHUNK, len(self._start_ns))
+        half = self._half[a:b, None, None]
+        # nodes lie between nanoseconds, and half of one would already show in the rates
+        since = ((_X + 1.0) * self._half[a:b, None]).ravel()
+        profile = self.profile.channels(np.repeat(self._start_ns[a:b], NODES), since)
+        v_g = self._velocity(profile)[0]
+        r = np.broadcast_to(self._r0[a], (b - a, NODES, 3)).copy()
+        for _ in range(_PICARD):
+            lat, lon, _h = ellipsoid.to_geodetic(r.reshape(-1, 3))
+            v_e = _up(ellipsoid.axes_eg(lat, lon), v_g).reshape(b - a, NODES, 3)
+            steps = half[:, 0] * np.einsum("k,pkc->pc", _AT_END, v_e)
+            self._r0[a + 1 : b + 1] = self._r0[a] + np.cumsum(steps, axis=0)
+            r = self._r0[a:b, None, :] + half * np.einsum("ik,pkc->pic", _AT_NODES, v_e)
+        motion = self._motion(profile, r.reshape(-1, 3), self.vehicle.imu)
+        rates = np.concatenate((motion.w_iv_v @ self.vehicle.C_vb, motion.f_v @ self.vehicle.C_vb), axis=1)
+        values = np.concatenate((v_e, rates.reshape(b - a, NODES, 6)), axis=2)
+        self._coef[a:b] = half * np.einsum("ik,pkc->pic", _INTEGRAL, values)
+        self._total[a:b] = half[:, 0] * np.einsum("k,pkc->pc", _AT_END, values[:, :, 3:])
+        self._solved = b
+
+    @staticmethod
+    def _velocity(profile: Channels) -> tuple[Array, Array]:
+        """Velocity of the axle and its derivative (n, 3) in east-north-up."""
+        c, c1, _c2, _c3 = profile
+        s, psi, gam = c.T
+        s1, psi1, gam1 = c1.T
+        sp, cp, sg, cg = np.sin(psi), np.cos(psi), np.sin(gam), np.cos(gam)
+        along = np.stack((cg * sp, cg * cp, sg), axis=-1)
+        turn = np.stack((-sg * gam1 * sp + cg * cp * psi1, -sg * gam1 * cp - cg * sp * psi1, cg * gam1), -1)
+        return s[:, None] * along, s1[:, None] * along + s[:, None] * turn
+
+    def _motion(self, profile: Channels, r_axle: Array, point: Array) -> Motion:
+        """Kinematics of ``point`` from the axle's Earth-fixed position and the profile."""
+        (s, psi, gam), (s1, psi1, gam1), (s2, psi2, gam2), (s3, psi3, _) = (c.T for c in profile)
+        v_g, vdot_g = self._velocity(profile)
+        lat, lon, height = ellipsoid.to_geodetic(r_axle)
+        C_eg = ellipsoid.axes_eg(lat, lon)
+
+        # rate of the local axes over the Earth, and its derivative
+        r_m, r_n, r_m1, r_n1 = ellipsoid.radii(lat)
+        v_e, v_n, v_u = v_g.T
+        r_m, r_n = r_m + height, r_n + height
+        lat1, q, tan_lat = v_n / r_m, v_e / r_n, np.tan(lat)
+        lat2 = (vdot_g[:, 1] - lat1 * (r_m1 * lat1 + v_u)) / r_m
+        q1 = (vdot_g[:, 0] - q * (r_n1 * lat1 + v_u)) / r_n
+        w_eg_g = np.stack((-lat1, q, q * tan_lat), axis=-1)
+        wdot_eg_g = np.stack((-lat2, q1, q1 * tan_lat + q * lat1 * (1.0 + tan_lat**2)), axis=-1)
+        w_ie_g = OMEGA * np.stack((np.zeros_like(lat), np.cos(lat), np.sin(lat)), axis=-1)
+
+        # attitude: heading, pitch (slope and squat), roll (lean), and two derivatives
+        kp, kr = self.vehicle.pitch_per_accel, -self.vehicle.roll_per_accel
+        pitch, pitch1, pitch2 = gam + kp * s1, gam1 + kp * s2, gam2 + kp * s3
+        roll, roll1 = kr * s * psi1, kr * (s1 * psi1 + s * psi2)
+        roll2 = kr * (s2 * psi1 + 2.0 * s1 * psi2 + s * psi3)
+        C_gv = _attitude(psi, pitch, roll)
+        sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
+        w_gv = np.stack(
+            (pitch1 * cr + psi1 * cp * sr, roll1 - psi1 * sp, pitch1 * sr - psi1 * cp * cr), axis=-1
+        )
+        mixed = psi2 * cp - psi1 * pitch1 * sp
+        wdot_gv = np.stack(
+            (
+                pitch2 * cr - pitch1 * roll1 * sr + mixed * sr + psi1 * cp * roll1 * cr,
+                roll2 - psi2 * sp - psi1 * pitch1 * cp,
+                pitch2 * sr + pitch1 * roll1 * cr - mixed * cr + psi1 * cp * roll1 * sr,
+            ),
+            axis=-1,
+        )
+
+        w_eg_v = _down(C_gv, w_eg_g)
+        w_ev = w_eg_v + w_gv
+        wdot_ev = _down(C_gv, wdot_eg_g) + _cross(w_eg_v, w_gv) + wdot_gv
+        w_ie_v = _down(C_gv, w_ie_g)
+        lever = np.broadcast_to(point, w_ev.shape)
+        swing = _cross(w_ev, lever)
+        v_v = _down(C_gv, v_g) + swing
+        accel_v = _down(C_gv, vdot_g + _cross(w_eg_g, v_g)) + _cross(wdot_ev, lever) + _cross(w_ev, swing)
+        r_e = r_axle + _up(C_eg, _up(C_gv, lever))
+        v_point_e = _up(C_eg, _up(C_gv, v_v))
+        lat_p, lon_p, height_p = ellipsoid.to_geodetic(r_e)
+        C_ep = ellipsoid.axes_eg(lat_p, lon_p)
+        gravity_e = -ellipsoid.normal_gravity(lat_p, height_p)[:, None] * C_ep[:, :, 2]
+        f_v = accel_v + 2.0 * _cross(w_ie_v, v_v) - _down(C_gv, _down(C_eg, gravity_e))
+        return Motion(
+            lat=lat_p,
+            lon=lon_p,
+            height=height_p,
+            v_g=_down(C_ep, v_point_e),
+            # against the local axes of the point itself, which differ from the axle's a metre away
+            C_gv=np.swapaxes(C_ep, 1, 2) @ C_eg @ C_gv,
+            w_iv_v=w_ie_v + w_ev,
+            f_v=f_v,
+            r_e=r_e,
+            v_e=v_point_e,
+        )
+
+
+def roll_per_accel(deg_per_g: float) -> float:
+    """Lean in rad per m/s^2 from degrees per g."""
+    return math.radians(deg_per_g) / G0
