@@ -1,0 +1,105 @@
+"""The one place where our axes become MAVLink's: east-north-up and right-forward-up to NED and FRD."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from bridge.geoid import undulation
+from nav.types import S, Solution
+
+# WGS-84 defining constants (NIMA TR8350.2, table 3.1)
+_A = 6378137.0
+_E2 = (2.0 - 1.0 / 298.257223563) / 298.257223563
+
+Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Ned:
+    """A solution in MAVLink's conventions; NaN where unknown.
+
+    ``lat``, ``lon`` rad, ``height`` m above the ellipsoid, ``altitude`` m above the geoid, ``v`` m/s
+    north, east, down; ``q`` w, x, y, z takes front-right-down to north-east-down; ``roll``, ``pitch``,
+    ``yaw`` rad, yaw in (-pi, pi]; ``rates`` rad/s about front, right, down; sigmas likewise (``sigma_p``
+    and ``sigma_v`` north, east, down; ``sigma_attitude`` rad, as rotations about north, east, down).
+    """
+
+    lat: float
+    lon: float
+    height: float
+    altitude: float
+    v: Three
+    q: Four
+    roll: float
+    pitch: float
+    yaw: float
+    rates: Three
+    sigma_p: Three
+    sigma_v: Three
+    sigma_attitude: Three
+
+
+def to_ned(solution: Solution) -> Ned:
+    """``solution`` in MAVLink's conventions.
+
+    Both pairs of axes are related by the same half turn P about the bisector of the first two axes
+    (P: x, y, z to y, x, -z), so C_ned_frd = P C_gv P and the vector part of the quaternion turns like
+    a vector.
+    """
+    state = [float(value) for value in solution.state]
+    lat, lon, height = state[S.LAT], state[S.LON], state[S.HEIGHT]
+    w, x, y, z = state[S.Q]
+    yaw = solution.heading
+    return Ned(
+        lat=lat,
+        lon=lon,
+        height=height,
+        altitude=height - undulation(lat, lon),
+        v=_turned(state[S.V]),
+        q=(w, y, x, -z) if w >= 0.0 else (-w, -y, -x, z),
+        roll=solution.roll,
+        pitch=solution.pitch,
+        yaw=yaw - 2.0 * math.pi if yaw > math.pi else yaw,
+        rates=_turned(state[S.W]),
+        sigma_p=_exchanged(state[S.SIGMA_P]),
+        sigma_v=_exchanged(state[S.SIGMA_V]),
+        sigma_attitude=_exchanged(state[S.SIGMA_PHI]),
+    )
+
+
+def _turned(v: list[float]) -> Three:
+    return v[1], v[0], -v[2]
+
+
+def _exchanged(sigma: list[float]) -> Three:
+    return sigma[1], sigma[0], sigma[2]
+
+
+class LocalFrame:
+    """A north-east-down frame fixed to the Earth at a geodetic origin (rad, rad, m)."""
+
+    def __init__(self, lat: float, lon: float, height: float) -> None:
+        self.lat, self.lon, self.height = lat, lon, height
+        self._origin = _ecef(lat, lon, height)
+        sl, cl, so, co = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+        self._c_ne = np.array([[-sl * co, -sl * so, cl], [-so, co, 0.0], [-cl * co, -cl * so, -sl]])
+
+    def position(self, lat: float, lon: float, height: float) -> Three:
+        """A geodetic position (rad, rad, m) in this frame, m.
+
+        Source: Groves 2013, Principles of GNSS, Inertial, and Multisensor Integrated Navigation
+        Systems, 2nd ed., eqs. (2.112) and (2.150).
+        """
+        d = np.subtract(_ecef(lat, lon, height), self._origin)
+        n, e, down = (float(row[0] * d[0] + row[1] * d[1] + row[2] * d[2]) for row in self._c_ne)
+        return n, e, down
+
+
+def _ecef(lat: float, lon: float, height: float) -> Three:
+    s, c = math.sin(lat), math.cos(lat)
+    r = _A / math.sqrt(1.0 - _E2 * s * s)
+    return (r + height) * c * math.cos(lon), (r + height) * c * math.sin(lon), (r * (1.0 - _E2) + height) * s

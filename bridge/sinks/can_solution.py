@@ -1,0 +1,221 @@
+"""The solution on CAN: an epoch of SOL_ frames at a set rate, rejects and health once a second.
+
+What is not known is not sent: a frame whose measured values are not all known and in range is
+left out of its epoch. SOL_TIME (mode) and SOL_HEADING (which carries the validity flags) are always
+there; an unknown heading is sent as 0 with its validity bit clear. A standard deviation that is unknown
+or beyond the signal's range is sent as the largest raw value, "that or more". Until there is a solution,
+the two constant frames are sent with every health report, so that the mode can be seen on the bus.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+from msgspec import Meta
+
+from bridge.options import SinkOptions
+from bridge.outputs import (
+    FixOut,
+    Health,
+    ModeChange,
+    Output,
+    Reject,
+    SolutionOut,
+    Transmit,
+)
+from bridge.sinks.base import SinkContext
+from dbc.codec import MessageCodec, contract
+from nav.types import Mode, S, Solution, SolutionFlag
+
+_WEEK_NS = 7 * 86400 * 1_000_000_000
+_BRIDGE_TIME, _GPS_TIME = 0, 1
+_GEOGRAPHIC = 0
+_LOSS_MODULUS = 8192
+_TOTAL_MODULUS = 1 << 32
+_RECENT_LIMIT = 0xFFFF
+
+# frames of one epoch in sending order; the last one closes the epoch
+EPOCH = (
+    "SOL_TIME",
+    "SOL_LEVEL",
+    "SOL_HEADING",
+    "SOL_VEL_H",
+    "SOL_VEL_U",
+    "SOL_LAT",
+    "SOL_LON",
+    "SOL_HEIGHT",
+    "SOL_RATE",
+    "SOL_FORCE",
+    "SOL_SIGMA_ATT",
+    "SOL_SIGMA_VEL",
+)
+_ALWAYS = ("SOL_TIME", "SOL_HEADING")
+
+
+class CanSolutionOptions(SinkOptions):
+    """``[sink.NAME]`` with ``type = "can_solution"``.
+
+    ``rate_hz`` is the rate of epochs; the navigator's own rate bounds it. ``id_offset`` shifts every
+    identifier.
+    """
+
+    rate_hz: Annotated[float, Meta(gt=0.0, le=1000.0)] = 50.0
+    id_offset: Annotated[int, Meta(ge=0, le=0x5F0)] = 0
+
+
+class CanSolution:
+    """Encodes one navigator's solution through the packaged contract."""
+
+    def __init__(self, options: CanSolutionOptions, context: SinkContext) -> None:
+        self._navigator = options.navigator
+        self._source = context.source
+        self._offset = options.id_offset
+        self._period_ns = round(1e9 / options.rate_hz)
+        messages = contract()
+        self._epoch = [messages[name] for name in EPOCH]
+        self._rejects, self._health = messages["SOL_REJECTS"], messages["SOL_HEALTH"]
+        self._slot: int | None = None
+        self._alive = 0
+        self._alive_rejects = 0
+        self._alive_health = 0
+        self._gps_minus_engine_ns: int | None = None
+        self._mode = Mode.STANDBY
+        self._solution_since_health = False
+        self._totals: dict[Reject, int] = {}
+
+    def consume(self, outputs: Sequence[Output]) -> list[Transmit]:
+        """Frames due after ``outputs``: of several solutions the last one is sent."""
+        latest: SolutionOut | None = None
+        health: Health | None = None
+        for output in outputs:
+            match output:
+                case SolutionOut() if output.navigator == self._navigator:
+                    latest = output
+                case ModeChange() if output.navigator == self._navigator:
+                    self._mode = output.new
+                case FixOut() if output.fix.gps_ns is not None:
+                    self._gps_minus_engine_ns = output.fix.gps_ns - output.fix.t_ns
+                case Health():
+                    health = output
+        sent: list[Transmit] = []
+        if latest is not None:
+            slot = latest.latest_rx_ns // self._period_ns
+            if slot != self._slot:
+                self._slot = slot
+                self._solution_since_health = True
+                sent += self._send_epoch(latest.solution)
+        if health is not None:
+            if not self._solution_since_health:
+                sent += self._send_status(health.t_ns)
+            self._solution_since_health = False
+            sent += self._send_health(health)
+        return sent
+
+    def _transmit(self, codec: MessageCodec, alive: int, values: tuple[float | int, ...]) -> Transmit:
+        return Transmit(self._source, codec.frame_id + self._offset, codec.encode(alive, *values))
+
+    def _send_epoch(self, solution: Solution) -> list[Transmit]:
+        values = epoch_values(solution)
+        values["SOL_TIME"] = self._time_values(solution.t_ns, solution.mode)
+        sent = [
+            self._transmit(codec, self._alive, saturated)
+            for codec in self._epoch
+            if (saturated := _sendable(codec, values[codec.name])) is not None
+        ]
+        self._alive = (self._alive + 1) % 15
+        return sent
+
+    def _send_status(self, t_ns: int) -> list[Transmit]:
+        values = {
+            "SOL_TIME": self._time_values(t_ns, self._mode),
+            "SOL_HEADING": (0.0, 0, _GEOGRAPHIC),
+        }
+        sent = [
+            self._transmit(codec, self._alive, values[codec.name])
+            for codec in self._epoch
+            if codec.name in _ALWAYS
+        ]
+        self._alive = (self._alive + 1) % 15
+        return sent
+
+    def _time_values(self, t_ns: int, mode: Mode) -> tuple[int, ...]:
+        base = _BRIDGE_TIME
+        if self._gps_minus_engine_ns is not None:
+            base = _GPS_TIME
+            t_ns += self._gps_minus_engine_ns
+        # whole raw steps of 50 us, so that rounding cannot reach the end of the week
+        week, in_week = divmod(t_ns // 50_000 * 50_000, _WEEK_NS)
+        return int(mode), base, week % 4096, in_week // 1000
+
+    def _send_health(self, health: Health) -> list[Transmit]:
+        totals: dict[Reject, int] = dict.fromkeys(Reject, 0)
+        missing = 0
+        for device in health.devices.values():
+            missing += device.missing
+            for reason, count in device.rejects.items():
+                totals[reason] += count
+        totals[Reject.UNKNOWN] += health.unknown_frames
+        sent = []
+        for reason, total in totals.items():
+            recent = min(max(total - self._totals.get(reason, 0), 0), _RECENT_LIMIT)
+            values = (int(reason), total % _TOTAL_MODULUS, recent)
+            sent.append(self._transmit(self._rejects, self._alive_rejects, values))
+            self._alive_rejects = (self._alive_rejects + 1) % 15
+        self._totals = totals
+        losses = (health.dropped_frames, health.unrecorded_frames, health.unknown_frames, missing)
+        wrapped = tuple(count % _LOSS_MODULUS for count in losses)
+        sent.append(self._transmit(self._health, self._alive_health, wrapped))
+        self._alive_health = (self._alive_health + 1) % 15
+        return sent
+
+
+def level_sigmas(solution: Solution) -> tuple[float, float, float]:
+    """Standard deviations of roll, pitch and heading (rad) from those of phi about east, north, up.
+
+    Roll is about the level projection of the forward axis, pitch about the level right axis; east and
+    north errors are taken as uncorrelated.
+    """
+    east, north, up = (float(x) for x in solution.state[S.SIGMA_PHI])
+    heading = solution.heading
+    s, c = math.sin(heading), math.cos(heading)
+    return math.hypot(s * east, c * north), math.hypot(c * east, s * north), up
+
+
+def epoch_values(solution: Solution) -> dict[str, tuple[float | int, ...]]:
+    """Signals of every frame of an epoch but SOL_TIME, in the units of the contract; NaN where unknown."""
+    x = [float(value) for value in solution.state]
+    degrees = math.degrees
+    flags = solution.flags & 0xFFFF
+    heading = degrees(solution.heading)
+    if not math.isfinite(heading):
+        heading, flags = 0.0, flags & ~int(SolutionFlag.HEADING)
+    sigma_p, sigma_v = x[S.SIGMA_P], x[S.SIGMA_V]
+    sigma_roll, sigma_pitch, sigma_heading = level_sigmas(solution)
+    return {
+        "SOL_LEVEL": (degrees(solution.roll), degrees(solution.pitch)),
+        "SOL_HEADING": (heading, flags, _GEOGRAPHIC),
+        "SOL_VEL_H": (x[3], x[4]),
+        "SOL_VEL_U": (x[5],),
+        "SOL_LAT": (degrees(x[S.LAT]), sigma_p[1]),
+        "SOL_LON": (degrees(x[S.LON]), sigma_p[0]),
+        "SOL_HEIGHT": (x[S.HEIGHT], sigma_p[2]),
+        "SOL_RATE": tuple(degrees(w) for w in x[S.W]),
+        "SOL_FORCE": tuple(x[S.F]),
+        "SOL_SIGMA_ATT": (degrees(sigma_roll), degrees(sigma_pitch), degrees(sigma_heading)),
+        "SOL_SIGMA_VEL": tuple(sigma_v),
+    }
+
+
+def _sendable(codec: MessageCodec, values: tuple[float | int, ...]) -> tuple[float | int, ...] | None:
+    """``values`` with sigmas limited to their range; None when a measured one is unknown or out of range."""
+    result = []
+    for value, signal in zip(values, codec.info, strict=True):
+        if signal.name.startswith("SIGMA_"):
+            # not "value > maximum": an unknown sigma is not a number and has to end here as well
+            value = value if value <= signal.maximum else signal.maximum
+        elif not signal.minimum <= value <= signal.maximum:
+            return None
+        result.append(value)
+    return tuple(result)
