@@ -1,0 +1,221 @@
+"""Inertial units by grade: what they are like, and one drawn with its own calibration sheet.
+
+Grades follow the textbook "Inertial navigation" (in Chinese), Tables 2-1 to 2-5, and where these give
+only bounds, typical data sheets within them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_bus.ellipsoid import G0
+
+Array = NDArray[np.float64]
+
+ARCSEC: Final = math.radians(1.0 / 3600.0)
+DEG_PER_H: Final = math.radians(1.0) / 3600.0
+DEG_PER_SQRT_H: Final = math.radians(1.0) / 60.0
+UG: Final = 1e-6 * G0
+PPM: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Grade:
+    """How good an inertial unit is. One sigma, *after* calibration, unless it says otherwise.
+
+    ``factory`` is how many times larger the errors are that calibration has taken out.
+    """
+
+    name: str
+    gyro_bias_deg_per_h: float
+    gyro_instability_deg_per_h: float
+    gyro_random_walk_deg_per_sqrt_h: float
+    gyro_scale_ppm: float
+    gyro_asymmetry_ppm: float
+    gyro_misalignment_arcsec: float
+    gyro_g_sensitivity_deg_per_h_per_g: float
+    gyro_arcsec_per_pulse: float  # a value, not a sigma
+    accel_bias_ug: float
+    accel_instability_ug: float
+    accel_random_walk_ug_per_sqrt_hz: float
+    accel_scale_ppm: float
+    accel_asymmetry_ppm: float
+    accel_misalignment_arcsec: float
+    accel_m_s_per_pulse: float  # a value, not a sigma
+    correlation_s: float  # of both instabilities, a value
+    clock_ppm: float
+    factory: float
+
+
+GRADES: Final = {
+    grade.name: grade
+    for grade in (
+        # navigation grade (Table 2-1: drift under 0.015 deg/h, scale under 10 ppm), ring lasers (Table 2-3;
+        # resolution of 2 arcsec, section 2.2.1.6), pendulous quartz accelerometers (Table 2-5)
+        Grade(
+            name="rlg",
+            gyro_bias_deg_per_h=0.006,
+            gyro_instability_deg_per_h=0.002,
+            gyro_random_walk_deg_per_sqrt_h=0.002,
+            gyro_scale_ppm=3.0,
+            gyro_asymmetry_ppm=0.3,
+            gyro_misalignment_arcsec=2.0,
+            gyro_g_sensitivity_deg_per_h_per_g=0.0,
+            gyro_arcsec_per_pulse=2.0,
+            accel_bias_ug=30.0,
+            accel_instability_ug=3.0,
+            accel_random_walk_ug_per_sqrt_hz=8.0,
+            accel_scale_ppm=20.0,
+            accel_asymmetry_ppm=2.0,
+            accel_misalignment_arcsec=3.0,
+            accel_m_s_per_pulse=1.5e-5,
+            correlation_s=3600.0,
+            clock_ppm=0.5,
+            factory=10.0,
+        ),
+        # tactical grade (Table 2-1: drift under 0.5 deg/h, scale under 100 ppm), closed-loop fibre gyros
+        # (Table 2-4), quartz accelerometers of the lower classes of Table 2-5
+        Grade(
+            name="fog",
+            gyro_bias_deg_per_h=0.1,
+            gyro_instability_deg_per_h=0.03,
+            gyro_random_walk_deg_per_sqrt_h=0.01,
+            gyro_scale_ppm=30.0,
+            gyro_asymmetry_ppm=3.0,
+            gyro_misalignment_arcsec=8.0,
+            gyro_g_sensitivity_deg_per_h_per_g=0.0,
+            gyro_arcsec_per_pulse=0.1,
+            accel_bias_ug=200.0,
+            accel_instability_ug=20.0,
+            accel_random_walk_ug_per_sqrt_hz=40.0,
+            accel_scale_ppm=80.0,
+            accel_asymmetry_ppm=10.0,
+            accel_misalignment_arcsec=10.0,
+            accel_m_s_per_pulse=2.0e-5,
+            correlation_s=1800.0,
+            clock_ppm=3.0,
+            factory=10.0,
+        ),
+        # rate grade (Table 2-1: drift over 0.5 deg/h, scale under 1000 ppm), vibrating gyros, silicon
+        # accelerometers (Table 2-5: bias 0.1 to 1 mg, and worse over temperature)
+        Grade(
+            name="mems",
+            gyro_bias_deg_per_h=120.0,
+            gyro_instability_deg_per_h=10.0,
+            gyro_random_walk_deg_per_sqrt_h=0.3,
+            gyro_scale_ppm=700.0,
+            gyro_asymmetry_ppm=50.0,
+            gyro_misalignment_arcsec=120.0,
+            gyro_g_sensitivity_deg_per_h_per_g=15.0,
+            gyro_arcsec_per_pulse=0.3,
+            accel_bias_ug=2500.0,
+            accel_instability_ug=100.0,
+            accel_random_walk_ug_per_sqrt_hz=100.0,
+            accel_scale_ppm=700.0,
+            accel_asymmetry_ppm=50.0,
+            accel_misalignment_arcsec=120.0,
+            accel_m_s_per_pulse=2.5e-5,
+            correlation_s=600.0,
+            clock_ppm=20.0,
+            factory=5.0,
+        ),
+    )
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Triad:
+    """Coefficients of three gyros or three accelerometers, SI, as the textbook's eqs. (2-27), (2-28).
+
+    Output per second = (axes @ input + bias + g_sensitivity @ f) / scale, where ``scale`` (3,) is the
+    size of a pulse and ``asymmetry`` (3,) the excess of pulses for positive over negative output.
+    """
+
+    scale: Array
+    bias: Array
+    axes: Array
+    asymmetry: Array
+    g_sensitivity: Array
+
+
+@dataclass(frozen=True, slots=True)
+class ImuErrors:
+    """One unit as it is, and as its calibration sheet says it is."""
+
+    gyro: Triad
+    accel: Triad
+    calibrated_gyro: Triad
+    calibrated_accel: Triad
+    serial: int
+
+
+def _off_diagonal(rng: np.random.Generator, sigma: float) -> Array:
+    out = rng.standard_normal((3, 3)) * sigma
+    np.fill_diagonal(out, 0.0)
+    return out
+
+
+def _draw_triad(
+    rng: np.random.Generator,
+    pulse: float,
+    bias: float,
+    scale: float,
+    axes: float,
+    asym: float,
+    g: float,
+    k: float,
+) -> tuple[Triad, Triad]:
+    sheet = Triad(
+        scale=pulse * (1.0 + k * scale * rng.standard_normal(3)),
+        bias=k * bias * rng.standard_normal(3),
+        axes=np.eye(3) + _off_diagonal(rng, k * axes),
+        asymmetry=np.zeros(3),
+        g_sensitivity=k * g * rng.standard_normal((3, 3)),
+    )
+    true = Triad(
+        scale=sheet.scale * (1.0 + scale * rng.standard_normal(3)),
+        bias=sheet.bias + bias * rng.standard_normal(3),
+        axes=sheet.axes + _off_diagonal(rng, axes),
+        asymmetry=asym * rng.standard_normal(3),
+        g_sensitivity=sheet.g_sensitivity + g * rng.standard_normal((3, 3)),
+    )
+    return true, sheet
+
+
+def draw_imu(grade: Grade, rng: np.random.Generator) -> ImuErrors:
+    """One unit of a grade."""
+    gyro = _draw_triad(
+        rng,
+        pulse=grade.gyro_arcsec_per_pulse * ARCSEC,
+        bias=grade.gyro_bias_deg_per_h * DEG_PER_H,
+        scale=grade.gyro_scale_ppm * PPM,
+        axes=grade.gyro_misalignment_arcsec * ARCSEC,
+        asym=grade.gyro_asymmetry_ppm * PPM,
+        g=grade.gyro_g_sensitivity_deg_per_h_per_g * DEG_PER_H / G0,
+        k=grade.factory,
+    )
+    accel = _draw_triad(
+        rng,
+        pulse=grade.accel_m_s_per_pulse,
+        bias=grade.accel_bias_ug * UG,
+        scale=grade.accel_scale_ppm * PPM,
+        axes=grade.accel_misalignment_arcsec * ARCSEC,
+        asym=grade.accel_asymmetry_ppm * PPM,
+        g=0.0,
+        k=grade.factory,
+    )
+    return ImuErrors(gyro[0], accel[0], gyro[1], accel[1], int(rng.integers(1, 1 << 24)))
+
+
+def ideal_imu(grade: Grade) -> ImuErrors:
+    """A unit of a grade without errors, for tests that ask about pulses alone."""
+    gyro, accel = (
+        Triad(np.full(3, pulse), np.zeros(3), np.eye(3), np.zeros(3), np.zeros((3, 3)))
+        for pulse in (grade.gyro_arcsec_per_pulse * ARCSEC, grade.accel_m_s_per_pulse)
+    )
+    return ImuErrors(gyro, accel, gyro, accel, 1)

@@ -1,0 +1,284 @@
+"""Sensors of the simulated bench: from true motion to what an instrument of a grade gives out.
+
+Every error is drawn from its own random stream, named after the device, so that adding a device changes
+no other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_bus.ellipsoid import G0, radii
+from virtual_bus.faults import Faults, GnssJump, GnssOutage, GnssOutlier, StuckAccel, WheelSlip
+from virtual_bus.grades import DEG_PER_H, DEG_PER_SQRT_H, UG, Grade, ImuErrors
+from virtual_bus.truth import Trajectory
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+Counts = NDArray[np.int64]
+
+COUNT_MAX: Final = 32767
+
+
+def generator(seed: int, name: str) -> np.random.Generator:
+    """The random stream of ``name`` under ``seed``: the same whatever other streams there are."""
+    words = np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], "<u4")
+    return np.random.Generator(
+        np.random.PCG64(np.random.SeedSequence(seed, spawn_key=tuple(map(int, words))))
+    )
+
+
+class GaussMarkov:
+    """First-order Gauss-Markov process of standard deviation ``sigma`` and correlation time ``tau`` s.
+
+    Exact at the ends of the steps taken, a straight line within; it starts in its steady state.
+    """
+
+    def __init__(self, sigma: float | Array, tau: float, size: int, rng: np.random.Generator) -> None:
+        self._sigma = sigma
+        self._tau = tau
+        self._rng = rng
+        self.value: Array = np.asarray(sigma * rng.standard_normal(size))
+
+    def step(self, dt: float) -> tuple[Array, Array]:
+        """Values before and after ``dt`` seconds."""
+        before = self.value
+        a = math.exp(-dt / self._tau)
+        self.value = a * before + self._sigma * math.sqrt(1.0 - a * a) * self._rng.standard_normal(
+            before.size
+        )
+        return before, self.value
+
+
+class Quantiser:
+    """Turns a flow into whole pulses; what is left of a pulse waits for the next sample."""
+
+    def __init__(self, size: int) -> None:
+        self.residual = np.zeros(size)
+
+    def pulses(self, amount: Array) -> Counts:
+        """Pulses (n, k) out of ``amount`` (n, k), in pulses: their sums differ by half a pulse at most."""
+        total = np.cumsum(amount, axis=0) + self.residual
+        whole = np.rint(total)
+        self.residual = total[-1] - whole[-1]
+        return np.asarray(np.diff(whole, axis=0, prepend=0.0).astype(np.int64))
+
+
+class Imu:
+    """Three gyros and three accelerometers giving pulse counts."""
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        grade: Grade,
+        errors: ImuErrors,
+        rng: np.random.Generator,
+        faults: Faults,
+        noise: bool = True,
+    ) -> None:
+        self._trajectory = trajectory
+        self._errors = errors
+        self._rng = rng
+        self._faults = faults
+        size = 1.0 if noise else 0.0
+        instability = np.repeat(
+            [grade.gyro_instability_deg_per_h * DEG_PER_H, grade.accel_instability_ug * UG], 3
+        )
+        self._instability = GaussMarkov(size * instability, grade.correlation_s, 6, rng)
+        self._random_walk = size * np.repeat(
+            [
+                grade.gyro_random_walk_deg_per_sqrt_h * DEG_PER_SQRT_H,
+                grade.accel_random_walk_ug_per_sqrt_hz * UG,
+            ],
+            3,
+        )
+        self._quantiser = Quantiser(6)
+        self._last = np.zeros(6, np.int64)
+
+    def restart(self) -> None:
+        """Power on: no fraction of a pulse is left."""
+        self._quantiser = Quantiser(6)
+
+    def block(self, t_ns: Times) -> tuple[Counts, NDArray[np.bool_]]:
+        """Counts (n-1, 6) gyro and accelerometer, and saturation flags, between times ``t_ns`` (n,).
+
+        A count beyond 16 bits is cut off and flagged, and the excess is lost, as in a real counter.
+        """
+        dtheta, dv = self._trajectory.increments(t_ns)
+        dt = np.diff(t_ns)[:, None] * 1e-9
+        gyro, accel = self._errors.gyro, self._errors.accel
+        out = np.concatenate((dtheta @ gyro.axes.T + dv @ gyro.g_sensitivity.T, dv @ accel.axes.T), axis=1)
+        before, after = self._instability.step(float(dt.sum()))
+        place = ((np.arange(len(dt)) + 0.5) / len(dt))[:, None]
+        bias = np.concatenate((gyro.bias, accel.bias)) + before + (after - before) * place
+        out += bias * dt + self._random_walk * np.sqrt(dt) * self._rng.standard_normal(out.shape)
+        # the size of a positive pulse and of a negative one differ by the asymmetry
+        asymmetry = np.concatenate((gyro.asymmetry, accel.asymmetry))
+        out /= np.concatenate((gyro.scale, accel.scale))
+        out *= 1.0 + 0.5 * asymmetry * np.sign(out)
+        counts = self._quantiser.pulses(out)
+        saturated = np.abs(counts) > COUNT_MAX
+        counts = np.clip(counts, -COUNT_MAX, COUNT_MAX)
+        for stuck in self._faults.of(StuckAccel):
+            during = stuck.during(t_ns[1:])
+            if during.any():
+                first, column = int(np.argmax(during)), 3 + stuck.axis
+                counts[during, column] = counts[first - 1, column] if first else self._last[column]
+        self._last = counts[-1]
+        return counts, saturated
+
+
+class Odometer:
+    """A wheel encoder on the rear axle: ticks counted up in either direction, direction, standstill."""
+
+    def __init__(self, trajectory: Trajectory, m_per_tick: float, scale_error: float, faults: Faults) -> None:
+        self._profile = trajectory.profile
+        self._ticks_per_m = (1.0 + scale_error) / m_per_tick
+        self._faults = faults
+        self._turned = 0.0
+
+    def block(self, t_ns: Times) -> tuple[Counts, Counts, NDArray[np.bool_]]:
+        """Ticks since power-on, direction (1 forward, 2 reverse), standstill at ``t_ns[1:]``."""
+        rolled = np.diff(self._profile.distance(t_ns))
+        for slip in self._faults.of(WheelSlip):
+            rolled[slip.during(t_ns[1:])] *= slip.factor
+        turned = self._turned + np.cumsum(rolled)
+        self._turned = float(turned[-1])
+        speed = self._profile.speed(t_ns)
+        standstill = np.maximum(np.abs(speed[:-1]), np.abs(speed[1:])) < 0.005
+        direction = np.where(speed[1:] < 0.0, 2, 1)
+        return np.floor(turned * self._ticks_per_m).astype(np.int64), direction, standstill
+
+
+class SpeedLog:
+    """Forward speed from a Doppler log: scale error and white noise."""
+
+    def __init__(
+        self, trajectory: Trajectory, sigma: float, scale_error: float, rng: np.random.Generator
+    ) -> None:
+        self._profile = trajectory.profile
+        self._sigma = sigma
+        self._scale = 1.0 + scale_error
+        self._rng = rng
+
+    def block(self, t_ns: Times) -> Array:
+        """Speed (n,) m/s at ``t_ns`` (n,)."""
+        return self._scale * self._profile.speed(t_ns) + self._sigma * self._rng.standard_normal(len(t_ns))
+
+
+def isa_pressure(height: Array) -> Array:
+    """Pressure (Pa) at a height (m) of the ICAO standard atmosphere's troposphere (ICAO Doc 7488)."""
+    return np.asarray(101325.0 * (1.0 - 0.0065 * height / 288.15) ** (G0 / (287.05287 * 0.0065)))
+
+
+class Barometer:
+    """Static pressure: the standard atmosphere over a datum that differs from the ellipsoid and drifts."""
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        offset: float,
+        drift: float,
+        tau: float,
+        noise: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self._trajectory = trajectory
+        self._offset = offset * float(rng.standard_normal())
+        self._drift = GaussMarkov(drift, tau, 1, rng)
+        self._noise = noise
+        self._rng = rng
+
+    def block(self, t_ns: Times) -> tuple[Array, Array]:
+        """Pressure (Pa) and air temperature (degC) at ``t_ns[1:]``."""
+        height = self._trajectory.motion(t_ns[1:]).height
+        before, after = self._drift.step(float(t_ns[-1] - t_ns[0]) * 1e-9)
+        place = (np.arange(len(height)) + 1.0) / len(height)
+        apparent = height + self._offset + before + (after - before) * place
+        pressure = isa_pressure(apparent + self._noise * self._rng.standard_normal(len(height)))
+        return pressure, 15.0 - 0.0065 * height
+
+
+@dataclass(frozen=True, slots=True)
+class GnssErrors:
+    """One-sigma errors of a receiver, m and m/s: horizontal (per axis) and vertical."""
+
+    white: tuple[float, float]
+    correlated: tuple[float, float]
+    correlation_s: float
+    velocity: tuple[float, float]
+
+    def sigma_position(self) -> Array:
+        """What the receiver reports, (3,) east, north, up."""
+        h, v = (math.hypot(self.white[k], self.correlated[k]) for k in (0, 1))
+        return np.array([h, h, v])
+
+    def sigma_velocity(self) -> Array:
+        """What the receiver reports, (3,) east, north, up."""
+        return np.array([self.velocity[0], self.velocity[0], self.velocity[1]])
+
+
+@dataclass(frozen=True, slots=True)
+class GnssBlock:
+    """Fixes of n epochs; ``fix`` is false in an outage, ``silent`` where not even that is said."""
+
+    lat: Array
+    lon: Array
+    height: Array
+    v_g: Array
+    fix: NDArray[np.bool_]
+    silent: NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class Gnss:
+    """A receiver with its antenna at ``antenna`` (3,) m, vehicle axes from the rear axle."""
+
+    trajectory: Trajectory
+    antenna: Array
+    errors: GnssErrors
+    rng: np.random.Generator
+    faults: Faults
+    _correlated: GaussMarkov = field(init=False)
+
+    def __post_init__(self) -> None:
+        h, v = self.errors.correlated
+        self._correlated = GaussMarkov(np.array([h, h, v]), self.errors.correlation_s, 3, self.rng)
+
+    def block(self, t_ns: Times) -> GnssBlock:
+        """Fixes at ``t_ns`` (n,), epochs of equal spacing."""
+        motion = self.trajectory.motion(t_ns, self.antenna)
+        n, rng = len(t_ns), self.rng
+        dt = float(t_ns[1] - t_ns[0]) * 1e-9 if n > 1 else 1.0
+        h, v = self.errors.white
+        error = rng.standard_normal((n, 3)) * np.array([h, h, v])
+        for k in range(n):
+            error[k] += self._correlated.step(dt)[1]
+        v_g = motion.v_g + rng.standard_normal((n, 3)) * self.errors.sigma_velocity()
+        for outlier in self.faults.of(GnssOutlier):
+            hit = outlier.during(t_ns) & (rng.random(n) < outlier.probability)
+            direction = rng.uniform(0.0, 2.0 * math.pi, n)
+            error[:, 0] += hit * outlier.size_m * np.cos(direction)
+            error[:, 1] += hit * outlier.size_m * np.sin(direction)
+        for jump in self.faults.of(GnssJump):
+            error += jump.during(t_ns)[:, None] * np.array([jump.east_m, jump.north_m, jump.up_m])
+        fix, silent = np.ones(n, np.bool_), np.zeros(n, np.bool_)
+        for outage in self.faults.of(GnssOutage):
+            during = outage.during(t_ns)
+            fix &= ~during
+            silent |= during & outage.silent
+        r_m, r_n, _, _ = radii(motion.lat)
+        return GnssBlock(
+            lat=motion.lat + error[:, 1] / (r_m + motion.height),
+            lon=motion.lon + error[:, 0] / ((r_n + motion.height) * np.cos(motion.lat)),
+            height=motion.height + error[:, 2],
+            v_g=v_g,
+            fix=fix,
+            silent=silent,
+        )
