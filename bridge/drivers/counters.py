@@ -17,6 +17,7 @@ class Counters:
         "frames",
         "last_ns",
         "missing",
+        "notes",
         "rejects",
         "samples",
     )
@@ -28,6 +29,8 @@ class Counters:
         self.bridged = 0
         self.duplicates = 0
         self.rejects = [0] * len(Reject)
+        self.notes: list[str] = []
+        """What an operator should read; the engine takes them away once a second."""
         self.last_ns: int | None = None
         """Engine time of the newest sample, None before the first."""
         self._then_ns: int | None = None

@@ -14,6 +14,7 @@ memory stay bounded.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Final
 
 POINTS: Final = 32  # stretches remembered
@@ -118,6 +119,10 @@ class DeviceClock:
         half = modulus_ns >> 1
         return expected + (place - expected + half) % modulus_ns - half
 
+    def defined_by(self, modulus_ns: int | None) -> bool:
+        """Whether a counter of this width is the widest: the one that says what device time is."""
+        return self._widest == modulus_ns
+
     def residual(self, axis_ns: int, arrival_ns: int) -> float:
         """How much later (ns) than the line a point is."""
         return (arrival_ns - axis_ns - self._base) - (self._height + self._slope * axis_ns)
@@ -178,7 +183,7 @@ def _lower_edge(points: list[tuple[float, float]]) -> float:
         hull.append((x, d))
     middle = sum([x for x, _ in points]) / len(points)
     slope = 0.0
-    for (x1, d1), (x2, d2) in zip(hull, hull[1:], strict=False):
+    for (x1, d1), (x2, d2) in pairwise(hull):
         if x2 > x1:
             slope = (d2 - d1) / (x2 - x1)
         if x2 >= middle:
@@ -198,6 +203,7 @@ class ClockPort:
         "_odd_residual",
         "_odd_since",
         "_out",
+        "elapsed_ns",
     )
 
     def __init__(self, clock: DeviceClock, modulus_ns: int | None, latency_ns: int) -> None:
@@ -205,28 +211,32 @@ class ClockPort:
         self._modulus = modulus_ns
         self._latency = latency_ns
         self._out = -(2**62)
-        self._last_axis = -(2**62)
+        self._last_axis: int | None = None
         self._odd = False
         self._odd_since = 0
         self._odd_residual = 0.0
+        self.elapsed_ns: int | None = None
+        """Device time between the last two counts, wraps removed; None at the first and at a restart."""
 
     def stamp(self, counter_ns: int, rx_ns: int) -> int:
-        """Engine time (ns) of the instant at which the device read ``counter_ns``; later than any
-        before."""
+        """Engine time (ns) at which the device read ``counter_ns``; later than any before."""
         clock = self._clock
         arrival = rx_ns - self._latency
         axis = clock.axis(counter_ns, arrival, self._modulus)
         if axis is None:
+            self.elapsed_ns = self._last_axis = None
             out = arrival
         else:
+            last = self._last_axis
+            self.elapsed_ns = None if last is None else axis - last
             residual = clock.residual(axis, arrival)
             if -EARLY < residual < LATE:
                 self._odd = False
                 clock.add(axis, arrival)
                 out = clock.time(axis)
+                self._last_axis = axis
             else:
                 out = self._outlier(axis, counter_ns, arrival, residual)
-            self._last_axis = axis
         if out <= self._out:
             out = self._out + 1
         self._out = out
@@ -234,15 +244,17 @@ class ClockPort:
 
     def _outlier(self, axis: int, counter_ns: int, arrival: int, residual: float) -> int:
         clock = self._clock
+        last, self._last_axis = self._last_axis, axis
         if not self._odd or abs(residual - self._odd_residual) > AGREE:
             self._odd = True
             self._odd_since = arrival
             self._odd_residual = residual
-        elif arrival - self._odd_since >= SETTLED and clock._widest == self._modulus:
+        elif arrival - self._odd_since >= SETTLED and clock.defined_by(self._modulus):
             self._odd = False
             clock.resets += 1
             clock.seed(counter_ns, arrival, self._modulus)
+            self._last_axis = counter_ns
             return arrival
-        if residual > 0.0 and axis > self._last_axis:
+        if residual > 0.0 and last is not None and axis > last:
             return clock.time(axis)  # a late frame of a clock that goes on
         return arrival

@@ -1,0 +1,156 @@
+"""Calibration files of inertial units: TOML with the unit in every key, to nav.imu.pulses coefficients.
+
+::
+
+    [device]
+    model = "..."                              # for people
+    serial = 1234                              # compared with what the device says of itself
+    [gyro]
+    scale_arcsec_per_pulse = [0.05, 0.05, 0.05]
+    bias_deg_per_h = [0.1, -0.2, 0.05]
+    g_sensitivity_deg_per_h_per_g = [[...], [...], [...]]   # row: gyro; column: right, forward, up
+    misalignment_arcsec = [[0, 10, -5], [...], [...]]       # row: gyro; what it sees of the other axes
+    [accel]
+    scale_ug_s_per_pulse = [50.0, 50.0, 50.0]
+    bias_ug = [100.0, -50.0, 30.0]
+    misalignment_arcsec = [[...], [...], [...]]
+
+A scale for negative counts (``scale_negative_...``) is given where it differs; ``axes`` (3 x 3, no unit)
+instead of a misalignment where the sensors are not along the axes at all.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from bridge.errors import ConfigError
+from bridge.strict import Table, convert, one_of, parse, wrong
+from nav.imu.pulses import Calibration
+from nav.types import Vector
+
+G: Final = 9.80665  # m/s^2, the unit "g"
+_DEG: Final = math.pi / 180.0
+_ARCSEC: Final = _DEG / 3600.0
+
+_GYRO_SCALE: Final = {"arcsec_per_pulse": _ARCSEC, "deg_per_pulse": _DEG, "urad_per_pulse": 1e-6}
+_ACCEL_SCALE: Final = {"ug_s_per_pulse": 1e-6 * G, "m_s_per_pulse": 1.0, "mm_s_per_pulse": 1e-3}
+_ANGLE: Final = {"arcsec": _ARCSEC, "mrad": 1e-3, "deg": _DEG}
+
+UNITS: Final[dict[str, dict[str, dict[str, float]]]] = {
+    "gyro": {
+        "scale": _GYRO_SCALE,
+        "scale_negative": _GYRO_SCALE,
+        "bias": {"deg_per_h": _DEG / 3600.0, "deg_per_s": _DEG},
+        "g_sensitivity": {"deg_per_h_per_g": _DEG / 3600.0 / G, "deg_per_s_per_g": _DEG / G},
+        "misalignment": _ANGLE,
+        "axes": {"": 1.0},
+    },
+    "accel": {
+        "scale": _ACCEL_SCALE,
+        "scale_negative": _ACCEL_SCALE,
+        "bias": {"ug": 1e-6 * G, "mg": 1e-3 * G, "m_s2": 1.0},
+        "misalignment": _ANGLE,
+        "axes": {"": 1.0},
+    },
+}
+"""Per sensor and quantity: the units its key may end in, and what they are in SI."""
+
+_MATRICES: Final = ("g_sensitivity", "misalignment", "axes")
+
+
+class _Device(Table):
+    model: str = ""
+    serial: int | None = None
+
+
+@dataclass(frozen=True)
+class CalibrationFile:
+    """What a calibration file says: which unit it is for, and the coefficients."""
+
+    calibration: Calibration
+    model: str
+    serial: int | None
+
+
+def read_calibration(data: bytes, file: str) -> CalibrationFile:
+    """Read a calibration file from its bytes; ``file`` is its name for messages.
+
+    Raises:
+        ConfigError: a key, unit, shape or value is wrong, with the key.
+    """
+    document = parse(data, file)
+    for name in document:
+        if name not in ("device", *UNITS):
+            expected = one_of(name, ("device", *UNITS))
+            raise ConfigError(f"{file}: {name}: found an unknown table, expected {expected}")
+    device = convert(document.get("device", {}), _Device, file, "device")
+    gyro = _sensor(document, "gyro", file)
+    accel = _sensor(document, "accel", file)
+    try:
+        calibration = Calibration(
+            gyro_scale_plus=gyro["scale"],
+            gyro_scale_minus=gyro.get("scale_negative"),
+            accel_scale_plus=accel["scale"],
+            accel_scale_minus=accel.get("scale_negative"),
+            gyro_bias=gyro.get("bias", np.zeros(3)),
+            accel_bias=accel.get("bias", np.zeros(3)),
+            gyro_g=gyro.get("g_sensitivity", np.zeros((3, 3))),
+            gyro_axes=gyro["axes"],
+            accel_axes=accel["axes"],
+        )
+    except ValueError as error:
+        raise ConfigError(f"{file}: {error}") from error
+    return CalibrationFile(calibration, device.model, device.serial)
+
+
+def _sensor(document: dict[str, Any], sensor: str, file: str) -> dict[str, Vector]:
+    table = document.get(sensor)
+    if not isinstance(table, dict):
+        raise ConfigError(f"{file}: {sensor}: found no table, expected [{sensor}] with at least its scale")
+    keys = {
+        f"{quantity}_{unit}" if unit else quantity: (quantity, factor)
+        for quantity, units in UNITS[sensor].items()
+        for unit, factor in units.items()
+    }
+    values: dict[str, Vector] = {}
+    for name, value in table.items():
+        key = f"{sensor}.{name}"
+        if name not in keys:
+            raise ConfigError(f"{file}: {key}: found an unknown key or unit, expected {one_of(name, keys)}")
+        quantity, factor = keys[name]
+        if quantity in values:
+            raise wrong(file, key, name, f"the {quantity} once, in one unit")
+        values[quantity] = _array(value, quantity in _MATRICES, file, key) * factor
+    if "scale" not in values:
+        names = [name for name, (quantity, _) in keys.items() if quantity == "scale"]
+        raise ConfigError(f"{file}: {sensor}: found no scale, expected one of {', '.join(names)}")
+    if np.any(values["scale"] == 0.0):
+        raise wrong(file, f"{sensor}.scale", 0.0, "a scale that is not zero")
+    if "misalignment" in values:
+        if "axes" in values:
+            raise wrong(file, f"{sensor}.axes", "both", "either axes or misalignment")
+        if np.any(np.diag(values["misalignment"]) != 0.0):
+            raise wrong(
+                file, f"{sensor}.misalignment", "a diagonal", "zeros there: scale errors belong in scale"
+            )
+        values["axes"] = np.eye(3) + values["misalignment"]
+    values.setdefault("axes", np.eye(3))
+    return values
+
+
+def _array(value: Any, matrix: bool, file: str, key: str) -> Vector:
+    expected = "three rows of three numbers" if matrix else "three numbers (right, forward, up)"
+    rows = value if matrix else [value]
+    if not isinstance(rows, list) or len(rows) != (3 if matrix else 1):
+        raise wrong(file, key, value, expected)
+    for row in rows:
+        if not isinstance(row, list) or len(row) != 3:
+            raise wrong(file, key, row, expected)
+        for item in row:
+            if isinstance(item, bool) or not isinstance(item, int | float):
+                raise wrong(file, key, item, expected)
+    return np.array(value, dtype=np.float64)

@@ -1,0 +1,292 @@
+"""Inertial units on CAN: pulse counts, in three classic frames or one CAN FD frame, to increments in SI."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Final
+
+import numpy as np
+from msgspec import Meta
+
+from bridge.calibration import read_calibration
+from bridge.drivers.base import Context
+from bridge.drivers.can_frames import bad_frame
+from bridge.drivers.counters import Counters
+from bridge.drivers.device_clock import ClockPort
+from bridge.frame import RawFrame
+from bridge.options import DeviceOptions, Positive
+from bridge.outputs import Reject
+from dbc.codec import contract
+from nav.imu.pulses import compensate
+from nav.types import ImuFlag, ImuSample
+
+_FAULT_OR_TEST: Final = 0b011  # bits of STATUS
+_PLAUSIBLE: Final = 5.0  # an interval beyond this many times the nominal one, either way, is not one
+_SATURATED: Final = int(ImuFlag.SATURATED)
+_FAULT: Final = int(ImuFlag.DEVICE_FAULT)
+_BRIDGED: Final = int(ImuFlag.BRIDGED)
+_GAP: Final = int(ImuFlag.GAP)
+
+
+class ImuCanOptions(DeviceOptions, kw_only=True):
+    """``[device.NAME]`` with ``driver = "imu_can"``.
+
+    ``bridge_samples`` is the longest gap that is filled from its neighbours; ``id_offset`` shifts every
+    identifier, for several units on one bus.
+    """
+
+    files: ClassVar[tuple[str, ...]] = ("calibration",)
+
+    calibration: str
+    rate_hz: Positive
+    bridge_samples: Annotated[int, Meta(ge=0, le=100)] = 5
+    id_offset: Annotated[int, Meta(ge=0, le=0x5FF)] = 0
+
+
+class _Stream:
+    """One kind of sample: the width of its counter and its clock port."""
+
+    __slots__ = ("modulus", "port")
+
+    def __init__(self, sample_bits: int, port: ClockPort) -> None:
+        self.modulus = 1 << sample_bits
+        self.port = port
+
+
+class ImuCan:
+    """Ties the frames of a sample by ALIVE, finds what is missing by SAMPLE and device time, compensates."""
+
+    def __init__(self, options: ImuCanOptions, context: Context) -> None:
+        file = read_calibration(context.files[options.calibration], options.calibration)
+        self.counters = Counters()
+        self._name = context.name
+        self._table = file.calibration.table()
+        self._serial = file.serial
+        self._serial_checked = False
+        self._period_ns = 1e9 / options.rate_hz
+        self._bridge = options.bridge_samples
+
+        messages = contract()
+        self._gyro_codec, self._accel_codec = messages["IMU_GYRO"], messages["IMU_ACCEL"]
+        self._time_codec, self._status_codec = messages["IMU_TIME"], messages["IMU_STATUS"]
+        self._fd_codec = messages["IMU_FD"]
+        offset = options.id_offset
+        self._gyro_key = self._gyro_codec.frame_id + offset
+        self._accel_key = self._accel_codec.frame_id + offset
+        self._time_key = self._time_codec.frame_id + offset
+        self._fd_key = self._fd_codec.frame_id + offset
+        self._status_key = self._status_codec.frame_id + offset
+        keys = (self._gyro_key, self._accel_key, self._time_key, self._fd_key, self._status_key)
+        self.keys = [(context.source, key) for key in keys]
+
+        self._classic = _Stream(8, context.port(2**32 * 1000, options.latency_ms))
+        self._fd = _Stream(16, context.port(2**48 * 1000, options.latency_ms))
+
+        # the sample being put together; -1: nothing yet
+        self._gyro_alive = self._accel_alive = -1
+        self._gyro: tuple[float, ...] = ()
+        self._accel: tuple[float, ...] = ()
+        self._gyro_data = self._accel_data = self._time_data = self._fd_data = b""
+        self._done_alive = -1
+        # the last sample given out
+        self._last: ImuSample | None = None
+        self._last_sample = 0
+        self._gap = False
+
+    def feed(self, frame: RawFrame) -> Sequence[ImuSample]:
+        """The sample that ``frame`` completes, after those made up for a short gap before it."""
+        _, rx_ns, _, key, data = frame
+        self.counters.frames += 1
+        if key == self._gyro_key:
+            codec = self._gyro_codec
+            if not codec.crc_ok(data):
+                bad_frame(codec, data, self.counters)
+            elif self._fresh(alive := codec.alive(data), data, self._gyro_data):
+                if self._gyro_alive >= 0:
+                    self._superseded(alive, data == self._gyro_data)
+                self._gyro = codec.decode(data)
+                self._gyro_alive = alive
+                self._gyro_data = data
+            return ()
+        if key == self._accel_key:
+            codec = self._accel_codec
+            if not codec.crc_ok(data):
+                bad_frame(codec, data, self.counters)
+            elif self._fresh(alive := codec.alive(data), data, self._accel_data):
+                self._accel = codec.decode(data)
+                self._accel_alive = alive
+                self._accel_data = data
+            return ()
+        if key == self._time_key:
+            codec = self._time_codec
+            if not codec.crc_ok(data):
+                bad_frame(codec, data, self.counters)
+                return ()
+            alive = codec.alive(data)
+            if not self._fresh(alive, data, self._time_data):
+                return ()
+            whole = self._gyro_alive == alive == self._accel_alive
+            self._gyro_alive = self._accel_alive = -1
+            self._done_alive = alive
+            self._time_data = data
+            if not whole:
+                return self.counters.reject(Reject.INCOMPLETE)
+            status, sample, _, time_us = codec.decode(data)
+            gyro, accel = self._gyro, self._accel
+            flags = 0
+            if gyro[0] or gyro[1] or gyro[2] or accel[0] or accel[1] or accel[2]:
+                flags = _SATURATED
+            counts = (*gyro[3:], *accel[3:])
+            return self._sample(self._classic, counts, flags, int(status), int(sample), int(time_us), rx_ns)
+        if key == self._fd_key:
+            return self._feed_fd(data, rx_ns)
+        return self._feed_status(data)
+
+    def _fresh(self, alive: int, data: bytes, before: bytes) -> bool:
+        """Whether a frame belongs to a sample that is not given out yet."""
+        if alive != self._done_alive:
+            return True
+        if data == before:
+            self.counters.duplicates += 1
+        else:
+            self.counters.reject(Reject.COUNTER)
+        return False
+
+    def _superseded(self, alive: int, same: bool) -> None:
+        if alive != self._gyro_alive:
+            self.counters.reject(Reject.INCOMPLETE)
+        elif same:
+            self.counters.duplicates += 1
+        else:
+            self.counters.reject(Reject.COUNTER)
+
+    def _feed_fd(self, data: bytes, rx_ns: int) -> Sequence[ImuSample]:
+        codec = self._fd_codec
+        if not codec.crc_ok(data):
+            bad_frame(codec, data, self.counters)
+            return ()
+        alive = codec.alive(data)
+        if not self._fresh(alive, data, self._fd_data):
+            return ()
+        self._done_alive = alive
+        self._fd_data = data
+        values = codec.decode(data)
+        flags = _SATURATED if any(values[:6]) else 0
+        sample, time_us, _, status, _, serial = values[12:]
+        self._check_serial(int(serial))
+        return self._sample(self._fd, values[6:12], flags, int(status), int(sample), int(time_us), rx_ns)
+
+    def _feed_status(self, data: bytes) -> tuple[()]:
+        codec = self._status_codec
+        if not codec.crc_ok(data):
+            bad_frame(codec, data, self.counters)
+        else:
+            self._check_serial(int(codec.decode(data)[2]))
+        return ()
+
+    def _check_serial(self, serial: int) -> None:
+        if self._serial_checked or self._serial is None:
+            return
+        self._serial_checked = True
+        if serial != self._serial:
+            self.counters.notes.append(f"serial number {serial}, but the calibration is for {self._serial}")
+
+    def _sample(
+        self,
+        stream: _Stream,
+        counts: tuple[float, ...],
+        flags: int,
+        status: int,
+        sample: int,
+        time_us: int,
+        rx_ns: int,
+    ) -> Sequence[ImuSample]:
+        counters = self.counters
+        last = self._last
+        t_ns = stream.port.stamp(time_us * 1000, rx_ns)
+        elapsed = stream.port.elapsed_ns
+        interval = self._period_ns
+        steps = 1
+        if last is None:
+            pass
+        elif elapsed is None:
+            flags |= _GAP
+        elif elapsed <= 0:
+            self._gap = True
+            return counters.reject(Reject.STALE)
+        else:
+            step = (sample - self._last_sample) % stream.modulus
+            if step == 1 and elapsed < _PLAUSIBLE * interval:
+                interval = float(elapsed)
+            else:
+                found = self._steps(step, stream.modulus, elapsed, t_ns - last.t_ns)
+                if found == 0:
+                    return counters.reject(Reject.COUNTER)
+                steps = found
+                if 1.0 < elapsed * _PLAUSIBLE / (steps * interval) < _PLAUSIBLE * _PLAUSIBLE:
+                    interval = elapsed / steps
+                else:  # the device's time jumped: the increments are good, the interval is the nominal one
+                    counters.reject(Reject.RANGE)
+                    self._gap = True
+        if self._gap:
+            flags |= _GAP
+            self._gap = False
+        if status & _FAULT_OR_TEST:
+            flags |= _FAULT
+        if flags & _SATURATED:
+            counters.reject(Reject.SATURATED)
+
+        dt = interval * 1e-9
+        dtheta = np.empty(3)
+        dv = np.empty(3)
+        compensate(self._table, np.array(counts, dtype=np.float64), dt, dtheta, dv)
+
+        samples: list[ImuSample] = []
+        if steps > 1 and last is not None:
+            counters.missing += steps - 1
+            if steps - 1 <= self._bridge and not flags & _GAP:
+                samples = self._between(last, t_ns, dt, dtheta, dv, steps)
+            else:
+                flags |= _GAP
+        new = ImuSample(t_ns, dt, dtheta, dv, self._name, flags)
+        samples.append(new)
+        self._last = new
+        self._last_sample = sample
+        counters.samples += 1
+        counters.last_ns = t_ns
+        return samples
+
+    def _steps(self, step: int, modulus: int, elapsed: int, engine_ns: int) -> int:
+        """How many samples the device has taken since the last one; 0: its counter stands still."""
+        # a device time that jumped says nothing about how many are missing
+        by_time = max(1, round(min(elapsed, engine_ns + _PLAUSIBLE * self._period_ns) / self._period_ns))
+        if by_time % modulus == step:
+            return by_time
+        if by_time <= modulus // 2:
+            if step == 0:
+                return 0
+            if step <= modulus // 2 and elapsed < step * _PLAUSIBLE * self._period_ns:
+                return step
+        if step != 1:
+            self.counters.reject(Reject.COUNTER)  # the counter jumped; time says how much is missing
+        return by_time
+
+    def _between(
+        self, last: ImuSample, t_ns: int, dt: float, dtheta: np.ndarray, dv: np.ndarray, steps: int
+    ) -> list[ImuSample]:
+        """Samples on the straight line from the one before a gap to the one after it."""
+        self.counters.bridged += steps - 1
+        made = []
+        for i in range(1, steps):
+            weight = i / steps
+            made.append(
+                ImuSample(
+                    last.t_ns + (t_ns - last.t_ns) * i // steps,
+                    dt,
+                    last.dtheta + (dtheta - last.dtheta) * weight,
+                    last.dv + (dv - last.dv) * weight,
+                    self._name,
+                    _BRIDGED,
+                )
+            )
+        return made

@@ -1,0 +1,87 @@
+"""Wheel odometers on CAN: cumulative ticks that wrap, to distances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Final
+
+from msgspec import Meta
+
+from bridge.drivers.base import Context
+from bridge.drivers.can_frames import AliveCounter, bad_frame
+from bridge.drivers.counters import Counters
+from bridge.frame import RawFrame
+from bridge.options import DeviceOptions, Positive
+from bridge.outputs import Reject
+from dbc.codec import contract
+from nav.types import OdoSample
+
+TICK_MODULUS: Final = 2**32
+TIME_MODULUS_NS: Final = 2**16 * 100_000
+_REVERSE: Final = 2
+
+
+class OdometerCanOptions(DeviceOptions, kw_only=True):
+    """``[device.NAME]`` with ``driver = "odometer_can"``.
+
+    ``max_speed_m_s`` is beyond what the vehicle can do: a count that asks for more is not believed.
+    """
+
+    m_per_tick: Positive
+    max_speed_m_s: Positive = 100.0
+    id_offset: Annotated[int, Meta(ge=0, le=0x5FF)] = 0
+
+
+class OdometerCan:
+    """Distance per frame; ticks of lost frames are in the next one, so no distance is lost with them."""
+
+    def __init__(self, options: OdometerCanOptions, context: Context) -> None:
+        self.counters = Counters()
+        self._name = context.name
+        self._codec = contract()["ODO"]
+        self.keys = [(context.source, self._codec.frame_id + options.id_offset)]
+        self._alive = AliveCounter(self._codec, self.counters)
+        self._port = context.port(TIME_MODULUS_NS, options.latency_ms)
+        self._m_per_tick = options.m_per_tick
+        self._max_speed = options.max_speed_m_s
+        self._sign = 1.0
+        self._ticks: int | None = None
+        self._t_ns = 0
+
+    def feed(self, frame: RawFrame) -> Sequence[OdoSample]:
+        """The distance since the frame before, where both are good."""
+        _, rx_ns, _, _, data = frame
+        counters, codec = self.counters, self._codec
+        counters.frames += 1
+        if not codec.crc_ok(data):
+            bad_frame(codec, data, counters)
+            return ()
+        if not self._alive.fresh(codec.alive(data), data):
+            return ()
+        direction, standstill, valid, ticks, time_us = codec.decode(data)
+        t_ns = self._port.stamp(int(time_us) * 1000, rx_ns)
+        if not valid:
+            self._ticks = None
+            return counters.reject(Reject.INVALID)
+        if direction > _REVERSE:
+            self._ticks = None
+            return counters.reject(Reject.RANGE)
+        if direction:  # unknown (mostly: standing) keeps the last one
+            self._sign = -1.0 if direction == _REVERSE else 1.0
+        before, then = self._ticks, self._t_ns
+        self._ticks = int(ticks)
+        self._t_ns = t_ns
+        elapsed = self._port.elapsed_ns
+        if before is None:
+            return ()
+        if elapsed is None:
+            elapsed = t_ns - then
+        if elapsed <= 0:
+            return counters.reject(Reject.STALE)
+        dt = elapsed * 1e-9
+        distance = (int(ticks) - before) % TICK_MODULUS * self._m_per_tick
+        if distance > self._max_speed * dt + self._m_per_tick:
+            return counters.reject(Reject.RANGE)
+        counters.samples += 1
+        counters.last_ns = t_ns
+        return (OdoSample(t_ns, dt, self._sign * distance, bool(standstill), self._name),)
