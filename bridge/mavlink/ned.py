@@ -8,11 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bridge.geoid import undulation
+from nav.earth import ecef
 from nav.types import S, Solution
-
-# WGS-84 defining constants (NIMA TR8350.2, table 3.1)
-_A = 6378137.0
-_E2 = (2.0 - 1.0 / 298.257223563) / 298.257223563
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -84,7 +81,7 @@ class LocalFrame:
 
     def __init__(self, lat: float, lon: float, height: float) -> None:
         self.lat, self.lon, self.height = lat, lon, height
-        self._origin = _ecef(lat, lon, height)
+        self._origin = ecef(lat, lon, height)
         sl, cl, so, co = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
         self._c_ne = np.array([[-sl * co, -sl * so, cl], [-so, co, 0.0], [-cl * co, -cl * so, -sl]])
 
@@ -92,14 +89,8 @@ class LocalFrame:
         """A geodetic position (rad, rad, m) in this frame, m.
 
         Source: Groves 2013, Principles of GNSS, Inertial, and Multisensor Integrated Navigation
-        Systems, 2nd ed., eqs. (2.112) and (2.150).
+        Systems, 2nd ed., eq. (2.150).
         """
-        d = np.subtract(_ecef(lat, lon, height), self._origin)
+        d = ecef(lat, lon, height) - self._origin
         n, e, down = (float(row[0] * d[0] + row[1] * d[1] + row[2] * d[2]) for row in self._c_ne)
         return n, e, down
-
-
-def _ecef(lat: float, lon: float, height: float) -> Three:
-    s, c = math.sin(lat), math.cos(lat)
-    r = _A / math.sqrt(1.0 - _E2 * s * s)
-    return (r + height) * c * math.cos(lon), (r + height) * c * math.sin(lon), (r * (1.0 - _E2) + height) * s

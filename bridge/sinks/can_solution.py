@@ -213,8 +213,8 @@ def _sendable(codec: MessageCodec, values: tuple[float | int, ...]) -> tuple[flo
     result = []
     for value, signal in zip(values, codec.info, strict=True):
         if signal.name.startswith("SIGMA_"):
-            # not "value > maximum": an unknown sigma is not a number and has to end here as well
-            value = value if value <= signal.maximum else signal.maximum
+            # asked this way round, an unknown sigma (not a number) ends up as the largest as well
+            value = value if 0.0 <= value <= signal.maximum else signal.maximum
         elif not signal.minimum <= value <= signal.maximum:
             return None
         result.append(value)
