@@ -1,1 +1,37 @@
-"""Alignment: finding the attitude at which navigation starts."""
+"""Alignment: finding the attitude at which navigation starts.
+
+`ALIGNMENTS` names them for the configuration; `begin`, `advance` and `result` run one.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from nav.align.level import LEVEL
+from nav.align.match import MATCH
+from nav.align.types import (
+    AlignConfig,
+    Alignment,
+    AlignStatus,
+    NavInit,
+    Run,
+    advance,
+    begin,
+    result,
+)
+
+ALIGNMENTS: Final[dict[str, Alignment]] = {
+    "motion": Alignment(needs=frozenset({"gnss"}), stages=(LEVEL, MATCH)),
+}
+
+__all__ = [
+    "ALIGNMENTS",
+    "AlignConfig",
+    "AlignStatus",
+    "Alignment",
+    "NavInit",
+    "Run",
+    "advance",
+    "begin",
+    "result",
+]

@@ -159,7 +159,9 @@ def extend(total: Vector, piece: Vector, gyro_bias: Vector, accel_bias: Vector) 
     for i in range(3):
         for j in range(3):
             work[3 * i + j] = (
-                rotation[i] * total[15 + j] + rotation[3 + i] * total[18 + j] + rotation[6 + i] * total[21 + j]
+                rotation[i] * total[15 + j]
+                + rotation[3 + i] * total[18 + j]
+                + rotation[6 + i] * total[21 + j]
             )
     for i in range(9):
         total[15 + i] = work[i] + piece[15 + i]

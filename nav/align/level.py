@@ -1,0 +1,234 @@
+"""Levelling: the vertical and the gyro bias from a standstill that GNSS confirms, heading not known.
+
+Ends when the vehicle moves. A vehicle that is moving already is levelled by its mean specific force, which
+is off by its mean acceleration; the covariance says so.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from nav.align.preintegrate import R, empty, extend, sample_piece
+from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
+from nav.earth import EARTH_RATE, normal_gravity
+from nav.rotation import quat_from_dcm, quat_multiply
+from nav.types import GnssFix, ImuFlag, ImuSample, Sample, Vector
+
+UNKNOWN_HEADING: Final = math.pi
+MOVING_LEVEL: Final = 0.2  # rad: a mean acceleration of 2 m/s^2 over the seconds looked at
+REST_SPEED: Final = 0.2  # m/s that GNSS may show at rest
+MOVING_SPEED: Final = 0.6  # m/s that GNSS must show before the vehicle is taken to move
+TURN_RATE: Final = math.radians(1.5)  # mean rate over a fix interval that is not a standstill
+REMEMBER_S: Final = 60.0  # a longer standstill forgets: the bias of a warming sensor drifts
+MOVING_S: Final = 3.0  # seconds of motion looked at when there was no standstill
+_ZERO: Final = np.zeros(3)
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    """Inertial samples between two fixes: their sums and their rotation, not yet known to be at rest."""
+
+    end_ns: int
+    dtheta: Vector
+    dv: Vector
+    piece: Vector
+
+
+def _chunk() -> _Chunk:
+    return _Chunk(0, np.zeros(3), np.zeros(3), empty())
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """State of the stage: sums over the standstill, and what came after it."""
+
+    config: AlignConfig
+    rate: Vector = field(default_factory=lambda: np.zeros(3))  # mean rate and force at rest, b
+    force: Vector = field(default_factory=lambda: np.zeros(3))
+    rate_m2: Vector = field(default_factory=lambda: np.zeros(3))  # weighted square deviations of chunk means
+    chunks: int = 0
+    seconds: float = 0.0
+    waiting: tuple[_Chunk, ...] = ()
+    open: _Chunk = field(default_factory=_chunk)
+    fix: GnssFix | None = None
+    anchor: GnssFix | None = None  # an earlier fix, for the speed of a receiver that gives none
+    moving: bool = False
+
+
+def init(config: AlignConfig, given: NavInit | None) -> Level:
+    """Begin with nothing known."""
+    return Level(config)
+
+
+def step(state: Level, sample: Sample) -> tuple[Level, AlignStatus]:
+    """Take an inertial sample or a fix."""
+    if isinstance(sample, ImuSample):
+        if sample.flags & ImuFlag.GAP:
+            state = Level(state.config, fix=state.fix)
+        return _with_imu(state, sample), _status(state)
+    if isinstance(sample, GnssFix):
+        state = _with_fix(state, sample)
+    return state, _status(state)
+
+
+def _with_imu(state: Level, sample: ImuSample) -> Level:
+    piece = np.empty_like(state.open.piece)
+    sample_piece(sample.dtheta, sample.dv, sample.dt, _ZERO, _ZERO, piece)
+    total = state.open.piece.copy()
+    extend(total, piece, _ZERO, _ZERO)
+    chunk = _Chunk(sample.t_ns, state.open.dtheta + sample.dtheta, state.open.dv + sample.dv, total)
+    return replace(state, open=chunk)
+
+
+def _with_fix(state: Level, fix: GnssFix) -> Level:
+    if state.fix is not None and fix.t_ns <= state.fix.t_ns:
+        return state
+    speed, anchor = gnss_speed(fix, state.anchor)
+    waiting = (*state.waiting, state.open) if state.open.end_ns else state.waiting
+    state = replace(state, fix=fix, anchor=anchor, open=_chunk(), waiting=waiting)
+    if speed is None:
+        return state
+    if speed > MOVING_SPEED:
+        return replace(state, moving=True)
+    if speed > REST_SPEED:
+        return state
+    # what lies before this fix, with a fix at rest on either side, was at rest
+    state = replace(state, moving=False)
+    for chunk in state.waiting:
+        if chunk.end_ns <= fix.t_ns:
+            state = _commit(state, chunk)
+    return replace(state, waiting=tuple(c for c in state.waiting if c.end_ns > fix.t_ns))
+
+
+def _commit(state: Level, chunk: _Chunk) -> Level:
+    dt = float(chunk.piece[-1])
+    rate, force = chunk.dtheta / dt, chunk.dv / dt
+    turning = float(np.linalg.norm(rate - state.rate)) > TURN_RATE and state.chunks > 0
+    g = float(np.linalg.norm(force))
+    tilted = state.chunks > 0 and float(np.linalg.norm(force - state.force)) > 0.03 * g
+    if turning or tilted:
+        # somebody moved the vehicle or the IMU: what was averaged holds no longer
+        return Level(state.config, fix=state.fix, anchor=state.anchor, waiting=state.waiting)
+    seconds = min(state.seconds, REMEMBER_S) + dt
+    change = rate - state.rate
+    mean = state.rate + change * (dt / seconds)
+    return replace(
+        state,
+        rate=mean,
+        force=state.force + (force - state.force) * (dt / seconds),
+        rate_m2=state.rate_m2 + change * (rate - mean),
+        chunks=state.chunks + 1,
+        seconds=seconds,
+    )
+
+
+def gnss_speed(fix: GnssFix, anchor: GnssFix | None) -> tuple[float | None, GnssFix | None]:
+    """Horizontal speed (m/s) by the receiver, or by displacement since ``anchor``; and the next anchor.
+
+    None while it is not known: the anchor must be a second or more back.
+    """
+    if fix.v_g is not None:
+        return math.hypot(float(fix.v_g[0]), float(fix.v_g[1])), None
+    if anchor is None or (dt := (fix.t_ns - anchor.t_ns) * 1e-9) > 5.0:
+        return None, fix
+    if dt < 1.0:
+        return None, anchor
+    north = (fix.lat - anchor.lat) * 6.37e6
+    east = (fix.lon - anchor.lon) * 6.37e6 * math.cos(fix.lat)
+    return math.hypot(north, east) / dt, fix
+
+
+def level_dcm(f_b: Vector) -> Vector:
+    """C_hb (3, 3) that puts the specific force ``f_b`` (3,) upwards, at an arbitrary heading.
+
+    Works for any attitude: the axis of b that is nearest to level becomes the north of h, projected.
+    """
+    up = f_b / np.linalg.norm(f_b)
+    axis = np.zeros(3)
+    axis[int(np.argmin(np.abs(up)))] = 1.0
+    north = axis - up * (up @ axis)
+    north /= np.linalg.norm(north)
+    return np.stack([np.cross(north, up), north, up])
+
+
+def _motion_seconds(state: Level) -> float:
+    return float(sum(c.piece[-1] for c in state.waiting)) + float(state.open.piece[-1])
+
+
+def _status(state: Level) -> AlignStatus:
+    rested = state.seconds >= min(1.0, state.config.rest_s)
+    done = state.moving and (rested or _motion_seconds(state) >= MOVING_S)
+    level = state.config.accel_bias / 9.8
+    sigma = level if rested else MOVING_LEVEL
+    return AlignStatus(
+        estimate=quat_from_dcm(level_dcm(state.force)) if state.chunks else None,
+        covariance=np.diag([sigma**2, sigma**2, UNKNOWN_HEADING**2]),
+        limit=np.array([level, level, UNKNOWN_HEADING]),
+        progress=min(1.0, state.seconds / state.config.rest_s),
+        done=done,
+    )
+
+
+def finish(state: Level) -> NavInit:
+    """Attitude at the last inertial sample, heading arbitrary with a sigma that says so."""
+    config, fix = state.config, state.fix
+    assert fix is not None
+    total = empty()
+    parts = (*state.waiting, state.open)
+    rested = state.seconds >= min(1.0, config.rest_s)
+    if rested:
+        C = level_dcm(state.force)
+        up_b = C[2]
+        bias = state.rate - EARTH_RATE * math.sin(fix.lat) * up_b
+        scatter = state.rate_m2 / max(1, state.chunks * (state.chunks - 1))
+        # the level part of Earth rate points nobody knows where
+        unseen = 0.5 * (EARTH_RATE * math.cos(fix.lat)) ** 2
+        var = scatter + config.angle_random_walk**2 / state.seconds + unseen + (0.02 * config.gyro_bias) ** 2
+        sigma_bias = np.sqrt(np.minimum(var, config.gyro_bias**2))
+        for part in parts:
+            extend(total, part.piece, bias, _ZERO)
+        after = float(total[-1])
+        level_var = (config.accel_bias / 9.8) ** 2 + (float(np.max(sigma_bias)) * after) ** 2
+        mounting: Vector | None = C if config.C_vb is None else config.C_vb
+    else:
+        force = np.sum([part.dv for part in parts], axis=0)
+        C = level_dcm(force)
+        bias = np.zeros(3)
+        sigma_bias = np.full(3, config.gyro_bias)
+        level_var = MOVING_LEVEL**2
+        mounting = config.C_vb
+    q_hb = quat_from_dcm(C @ total[R].reshape(3, 3))
+    known = config.C_vb is not None
+    slope = 0.0 if known else config.slope
+    end_ns = max(part.end_ns for part in parts)
+    g = normal_gravity(math.sin(fix.lat), fix.height)
+    level_var += (config.velocity_random_walk / g) ** 2 / max(1.0, state.seconds)
+    return NavInit(
+        t_ns=end_ns,
+        lat=fix.lat,
+        lon=fix.lon,
+        height=fix.height,
+        v_g=np.zeros(3),
+        q_gb=q_hb,
+        P_phi=np.diag([level_var, level_var, UNKNOWN_HEADING**2]),
+        sigma_v=np.full(3, MOVING_SPEED if rested else 100.0),
+        sigma_p=np.asarray(fix.sigma_position),
+        gyro_bias=bias,
+        accel_bias=np.zeros(3),
+        sigma_gyro_bias=sigma_bias,
+        sigma_accel_bias=np.full(3, config.accel_bias),
+        C_vb=mounting,
+        sigma_mounting=None if mounting is None else np.array([slope, slope, 0.0 if known else np.pi]),
+    )
+
+
+def rotate_heading(q_hb: Vector, psi: float) -> Vector:
+    """``q_gb`` of an attitude with arbitrary heading: turned counter-clockwise by ``psi`` (rad) about up."""
+    return quat_multiply(np.array([math.cos(0.5 * psi), 0.0, 0.0, math.sin(0.5 * psi)]), q_hb)
+
+
+LEVEL: Final = Stage(init=init, step=step, finish=finish)

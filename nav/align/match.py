@@ -1,0 +1,294 @@
+"""Heading from motion: collects fixes and the motion between them, until the fit is good enough.
+
+For sensors that cannot see Earth rate; the mathematics is in `nav.align.fit`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from nav.align.fit import POSITION_FLOOR, VELOCITY_FLOOR, Epoch, Fit, Window, local, skew, solve
+from nav.align.level import UNKNOWN_HEADING
+from nav.align.mounting import Mounting, find_mounting
+from nav.align.preintegrate import DT, R_GYRO, SIZE, V_ACCEL, V_GYRO, P, R, V, empty, extend, sample_piece
+from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
+from nav.earth import earth_rate_g, gravity_g, radii
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_multiply
+from nav.types import GnssFix, ImuFlag, ImuSample, Sample, Vector
+
+LONGEST_SILENCE: Final = 10.0  # s without a fix before starting again
+SOLVE_EVERY: Final = 0.5  # s
+FEWEST_FIXES: Final = 5
+LONGEST_WINDOW_FIXES: Final = 400
+MOUNTING_LIMIT: Final = math.radians(4.0)
+LEVEL_LOST: Final = 0.3  # rad
+_ZERO: Final = np.zeros(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """State of the stage."""
+
+    window: Window
+    status: AlignStatus
+    started: bool = False  # the window has its first fix
+    pending: deque[ImuSample] = field(default_factory=deque)
+    queue: tuple[GnssFix, ...] = ()
+    imu_ns: int = 0
+    last_ns: int = 0  # the last fix taken, or the hand-over
+    solved_ns: int = 0
+    fit: Fit | None = None
+    mounting: Mounting | None = None
+
+
+def init(config: AlignConfig, given: NavInit | None) -> Match:
+    """Begin from levelling's result."""
+    assert given is not None
+    tilt = float(given.P_phi[0, 0]) - (config.accel_bias / 9.8) ** 2
+    sigma = math.sqrt(max(tilt, math.radians(0.1) ** 2))
+    window = Window(config, given, given.q_gb, sigma)
+    return Match(window, _status(window, None, None), imu_ns=given.t_ns, last_ns=given.t_ns)
+
+
+def step(state: Match, sample: Sample) -> tuple[Match, AlignStatus]:
+    """Take an inertial sample or a fix."""
+    if isinstance(sample, ImuSample):
+        if sample.flags & ImuFlag.GAP:
+            return _refuse(state, "inertial samples are missing: the motion before them is lost")
+        if (sample.t_ns - state.last_ns) * 1e-9 > LONGEST_SILENCE:
+            return _refuse(state, f"no GNSS fix for {LONGEST_SILENCE:.0f} s while aligning in motion")
+        state.pending.append(sample)
+        state = replace(state, imu_ns=sample.t_ns)
+    elif isinstance(sample, GnssFix):
+        state = replace(state, queue=(*state.queue, sample)[-16:])
+    while state.queue and state.queue[0].t_ns <= state.imu_ns:
+        fix, state = state.queue[0], replace(state, queue=state.queue[1:])
+        if fix.t_ns > state.last_ns:
+            state = replace(_close(state, fix), last_ns=fix.t_ns)
+    return state, state.status
+
+
+def _refuse(state: Match, reason: str) -> tuple[Match, AlignStatus]:
+    return state, replace(state.status, done=False, refusal=reason)
+
+
+def _close(state: Match, fix: GnssFix) -> Match:
+    """End the open interval at a fix, and solve when it is time."""
+    window = state.window
+    piece, rate = _cut(state.pending, fix.t_ns, window.given.gyro_bias)
+    window = replace(window, epochs=(*window.epochs, Epoch(fix, piece, rate)))
+    if not state.started:
+        # bring the level attitude from the hand-over to the first fix
+        return replace(state, started=True, window=_shift(window))
+    while len(window.epochs) > LONGEST_WINDOW_FIXES or _seconds(window.epochs) > window.config.window_s:
+        window = _shift(replace(window, epochs=window.epochs[1:]))
+    state = replace(state, window=window)
+    if len(window.epochs) < FEWEST_FIXES or (fix.t_ns - state.solved_ns) * 1e-9 < SOLVE_EVERY:
+        return state
+    fit = solve(window)
+    mounting = None if fit is None else _mounting(window, fit)
+    status = _status(window, fit, mounting)
+    return replace(state, solved_ns=fix.t_ns, fit=fit, mounting=mounting, status=status)
+
+
+def _seconds(epochs: tuple[Epoch, ...]) -> float:
+    return (epochs[-1].fix.t_ns - epochs[0].fix.t_ns) * 1e-9
+
+
+def _shift(window: Window) -> Window:
+    """Carry the level attitude over the first epoch's piece, whose end becomes the window's start."""
+    piece = window.epochs[0].piece
+    q = quat_multiply(window.q_hb, quat_from_dcm(piece[R].reshape(3, 3)))
+    drift = float(np.max(window.given.sigma_gyro_bias)) * float(piece[DT])
+    return replace(window, q_hb=q, level_sigma=min(LEVEL_LOST, window.level_sigma + drift))
+
+
+def _cut(pending: deque[ImuSample], t_ns: int, gyro_bias: Vector) -> tuple[Vector, Vector]:
+    """Take the samples up to ``t_ns`` out of ``pending``: their piece, and the rate at its end.
+
+    A sample that straddles ``t_ns`` is divided in proportion.
+    """
+    total, piece = empty(), np.empty(SIZE)
+    turned, seconds = np.zeros(3), 0.0
+    while pending:
+        sample = pending[0]
+        begin_ns = sample.t_ns - round(sample.dt * 1e9)
+        if begin_ns >= t_ns:
+            break
+        pending.popleft()
+        part = 1.0
+        if sample.t_ns > t_ns:
+            part = (t_ns - begin_ns) / (sample.t_ns - begin_ns)
+            rest = 1.0 - part
+            pending.appendleft(
+                replace(sample, dt=rest * sample.dt, dtheta=rest * sample.dtheta, dv=rest * sample.dv)
+            )
+        sample_piece(part * sample.dtheta, part * sample.dv, part * sample.dt, gyro_bias, _ZERO, piece)
+        extend(total, piece, _ZERO, _ZERO)
+        if t_ns - sample.t_ns < 100_000_000:
+            turned, seconds = turned + part * sample.dtheta, seconds + part * sample.dt
+        if part < 1.0:
+            break
+    return total, turned / seconds - gyro_bias if seconds > 0.0 else np.zeros(3)
+
+
+def _mounting(window: Window, fit: Fit) -> Mounting | None:
+    C_gb = fit.C @ fit.rows[:, R].reshape(-1, 3, 3)
+    rates = np.array([e.rate for e in window.epochs])
+    fixes = [e.fix for e in window.epochs]
+    if all(f.v_g is not None for f in fixes):
+        v = np.array([f.v_g for f in fixes])
+    else:
+        v = (
+            fit.x[6:9]
+            + (fit.C @ fit.rows[:, V].T).T
+            + fit.rows[:, DT, None] * gravity_g(fixes[0].lat, fixes[0].height)
+        )
+    given = window.given
+    if given.C_vb is not None and given.sigma_mounting is not None:
+        up_b, sigma_up = given.C_vb[2], float(given.sigma_mounting[1])
+    else:
+        # never seen at rest: the mean vertical of the drive so far, as good as roads and suspension are level
+        up_b = np.mean(C_gb[:, 2, :], axis=0)
+        up_b, sigma_up = up_b / np.linalg.norm(up_b), math.hypot(0.05, window.config.slope)
+    rate_up = np.einsum("kj,kj->k", C_gb[:, 2, :], rates)
+    return find_mounting(C_gb, v, rate_up, up_b, sigma_up, VELOCITY_FLOOR, math.sqrt(float(fit.cov[2, 2])))
+
+
+def _status(window: Window, fit: Fit | None, mounting: Mounting | None) -> AlignStatus:
+    config = window.config
+    level = config.accel_bias / 9.8
+    if fit is None:
+        unknown = np.diag([level**2, level**2, UNKNOWN_HEADING**2])
+        return AlignStatus(None, unknown, np.array([level, level, UNKNOWN_HEADING]), 0.0, False)
+    sigma = math.sqrt(float(fit.cov[2, 2]))
+    # the heading of b in v enters the vehicle's heading like the alignment's own error
+    mounted = config.C_vb is not None or (
+        mounting is not None and float(mounting.sigma[2]) < max(MOUNTING_LIMIT, 1.5 * config.sigma_heading)
+    )
+    q = quat_from_dcm(fit.C @ fit.rows[-1][R].reshape(3, 3))
+    return AlignStatus(
+        estimate=q if fit.trusted else None,
+        covariance=fit.cov[0:3, 0:3],
+        limit=np.array([level, level, fit.formal]),
+        progress=min(1.0, config.sigma_heading / sigma) * (1.0 if mounted else 0.9),
+        done=fit.trusted and sigma < config.sigma_heading and mounted,
+    )
+
+
+def finish(state: Match) -> NavInit:
+    """Carry the fit to the last inertial sample."""
+    fit, window = state.fit, state.window
+    config, given, epochs = window.config, window.given, window.epochs
+    assert fit is not None
+    dbg, dba, v0 = fit.x[0:3], fit.x[3:6], fit.x[6:9]
+    last = epochs[-1].fix
+    total = fit.rows[-1].copy()
+    after = empty()
+    piece = np.empty(SIZE)
+    rate = epochs[-1].rate
+    C_fix = fit.C @ total[R].reshape(3, 3)
+    for sample in state.pending:
+        sample_piece(sample.dtheta, sample.dv, sample.dt, given.gyro_bias + dbg, dba, piece)
+        extend(after, piece, _ZERO, _ZERO)
+        extend(total, piece, _ZERO, _ZERO)
+    g, w_ie = gravity_g(last.lat, last.height), earth_rate_g(last.lat)
+    T, dt = float(total[DT]), float(after[DT])
+    turn = dcm_from_quat(quat_from_rotvec(-T * w_ie))
+    C_end = turn @ fit.C @ total[R].reshape(3, 3)
+    V_g = fit.C @ total[V]
+    moved = local([epochs[0].fix, last])[1]
+    v = v0 + V_g + T * g - 2.0 * np.cross(w_ie, moved) + 0.5 * T**2 * np.cross(w_ie, g)
+    l_g = C_fix @ config.gnss_lever_arm
+    if last.v_g is not None and last.sigma_velocity is not None:
+        # the fit runs through many fixes; the last one says it directly, and the better of the two is kept
+        sigma_fit = np.sqrt(np.diag(_velocity_covariance(fit, total)))
+        sigma_fix = np.hypot(last.sigma_velocity, VELOCITY_FLOOR)
+        v_fix = last.v_g - C_fix @ np.cross(rate, config.gnss_lever_arm) + C_fix @ after[V] + dt * g
+        v = np.where(sigma_fix < sigma_fit, v_fix, v)
+    v_before = v - C_fix @ after[V] - dt * g
+    step_g = v_before * dt + C_fix @ after[P] + 0.5 * dt**2 * g - l_g
+    r_m, r_n = radii(math.sin(last.lat))
+    return _hand_over(
+        state,
+        fit,
+        total,
+        C_end,
+        v,
+        (
+            last.lat + float(step_g[1]) / (r_m + last.height),
+            last.lon + float(step_g[0]) / ((r_n + last.height) * math.cos(last.lat)),
+            last.height + float(step_g[2]),
+        ),
+    )
+
+
+def _velocity_covariance(fit: Fit, total: Vector) -> Vector:
+    J = _end_jacobian(fit, total)[3:6]
+    cov: Vector = J @ fit.cov @ J.T
+    return cov
+
+
+def _end_jacobian(fit: Fit, total: Vector) -> Vector:
+    """Errors at the end (15: position zero, velocity, phi, biases) from the fit's (12).
+
+    The fit's are phi at the start of the window, biases, and the velocity there.
+    """
+    J = np.zeros((15, 12))
+    J[3:6, 0:3] = -skew((fit.C @ total[V])[None])[0]
+    J[3:6, 3:6] = fit.C @ total[V_GYRO].reshape(3, 3)
+    J[3:6, 6:9] = fit.C @ total[V_ACCEL].reshape(3, 3)
+    J[3:6, 9:12] = np.eye(3)
+    J[6:9, 0:3] = np.eye(3)
+    J[6:9, 3:6] = fit.C @ total[R].reshape(3, 3) @ total[R_GYRO].reshape(3, 3)
+    J[9:15, 3:9] = np.eye(6)
+    return J
+
+
+def _hand_over(
+    state: Match, fit: Fit, total: Vector, C: Vector, v: Vector, place: tuple[float, float, float]
+) -> NavInit:
+    window = state.window
+    config, given, last = window.config, window.given, window.epochs[-1].fix
+    J = _end_jacobian(fit, total)
+    cov = J @ fit.cov @ J.T
+    sigma_p = np.hypot(np.asarray(last.sigma_position), POSITION_FLOOR)
+    floor = np.full(3, VELOCITY_FLOOR)
+    if last.sigma_velocity is not None:
+        floor = np.hypot(floor, last.sigma_velocity)
+    # what the window's straight sensors do not model goes on top: a floor, uncorrelated
+    cov[0:3, 0:3] += np.diag(sigma_p**2)
+    cov[3:6, 3:6] += np.diag(floor**2)
+    cov[6:9, 6:9] += np.eye(3) * (math.radians(0.1) ** 2)
+    sigma = np.sqrt(np.diag(cov))
+    if config.C_vb is not None:
+        C_vb, sigma_mounting = config.C_vb, np.zeros(3)
+    else:
+        assert state.mounting is not None
+        C_vb, sigma_mounting = state.mounting.C_vb, state.mounting.sigma
+    return NavInit(
+        t_ns=state.imu_ns,
+        lat=place[0],
+        lon=place[1],
+        height=place[2],
+        v_g=v,
+        q_gb=quat_from_dcm(C),
+        P_phi=cov[6:9, 6:9].copy(),
+        sigma_v=sigma[3:6],
+        sigma_p=sigma[0:3],
+        gyro_bias=given.gyro_bias + fit.x[0:3],
+        accel_bias=given.accel_bias + fit.x[3:6],
+        sigma_gyro_bias=sigma[9:12],
+        sigma_accel_bias=sigma[12:15],
+        C_vb=C_vb,
+        sigma_mounting=sigma_mounting,
+        P=cov,
+    )
+
+
+MATCH: Final = Stage(init=init, step=step, finish=finish)
