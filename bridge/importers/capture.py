@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def write_capture(
     Raises:
         CaptureError: the file cannot be written.
     """
-    names = {0: "bridge", **{number: name for number, name in enumerate(config.sources, start=1)}}
+    names = {0: "bridge", **dict(enumerate(config.sources, start=1))}
     counts = dict.fromkeys(config.sources, 0)
     recorder = Recorder(
         path,
@@ -64,5 +64,5 @@ def write_capture(
     return Imported(Path(path), counts, (last_ns - first_ns) / 1e9)
 
 
-def _event(seq: int, rx_ns: int, event: Event, body: dict[str, int | str]) -> RawFrame:
+def _event(seq: int, rx_ns: int, event: Event, body: Mapping[str, int | str]) -> RawFrame:
     return RawFrame(seq, rx_ns, BRIDGE, int(event), msgspec.json.encode(body))

@@ -17,21 +17,12 @@ A minus before a column's name turns its sign.
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated
 
 from msgspec import Meta, field
 
 from bridge.options import NotNegative
 from bridge.strict import Table
-
-TIME: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-ANGLE: Final = {"deg": 1.0, "rad": 57.29577951308232, "1e-7 deg": 1e-7}
-LENGTH: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3}
-SPEED: Final = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6}
-RATE: Final = {"rad/s": 1.0, "deg/s": 0.017453292519943295, "deg/h": 4.84813681109536e-06}
-ACCEL: Final = {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3}
-PRESSURE: Final = {"Pa": 1.0, "hPa": 100.0, "kPa": 1000.0}
-COUNT: Final = {"1": 1.0}
 
 
 class Column(Table):
@@ -55,7 +46,7 @@ class Choice(Table):
     values: dict[str, str]
 
 
-class Source(Table):
+class Source(Table, kw_only=True):
     """What every table has: its file, its time, and how late its frames arrive.
 
     ``delay_ms`` is the time from the instant measured to the frame's arrival.
@@ -66,7 +57,7 @@ class Source(Table):
     delay_ms: NotNegative = 0.0
 
 
-class Imu(Source):
+class Imu(Source, kw_only=True):
     """Angular rate and specific force, each held over the interval that ends at its time."""
 
     gyro: Columns
@@ -74,7 +65,7 @@ class Imu(Source):
     temperature_deg_c: float = 25.0
 
 
-class Gnss(Source):
+class Gnss(Source, kw_only=True):
     """Fixes. ``time`` is GPS seconds of the week ``week``."""
 
     week: Annotated[int, Meta(ge=0, le=4095)]
@@ -90,13 +81,13 @@ class Gnss(Source):
     leap_seconds: Annotated[int, Meta(ge=0, le=255)] = 18
 
 
-class Odometer(Source):
+class Odometer(Source, kw_only=True):
     """Forward speed, made into the ticks of the configuration's ``m_per_tick``."""
 
     speed: Column
 
 
-class Baro(Source):
+class Baro(Source, kw_only=True):
     """Static pressure."""
 
     pressure: Column

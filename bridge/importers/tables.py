@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from bridge.errors import ConfigError
-from bridge.importers.mapping import TIME, Choice, Column, Columns
-from bridge.strict import unknown
+from bridge.importers.mapping import Choice, Column, Columns
+from bridge.strict import unknown, wrong
+from dbc.units import UNITS, si_factor
 from nav.types import Vector
 
 
@@ -35,26 +37,26 @@ class CsvTable:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def numbers(self, key: str, column: Column, units: Mapping[str, float]) -> Vector:
-        """The column (n,), multiplied by its unit's factor.
+    def numbers(self, key: str, column: Column, quantity: str) -> Vector:
+        """The column (n,) in SI units; ``quantity`` is one of `dbc.units.UNITS`.
 
         Raises:
             ConfigError: an unknown column or unit, a cell that is not a finite number.
         """
-        return self._floats(key, column.column) * self._factor(key, column.unit, units)
+        return self._floats(key, column.column) * self._factor(key, column.unit, quantity)
 
-    def triples(self, key: str, columns: Columns, units: Mapping[str, float]) -> Vector:
-        """Three columns (n, 3), multiplied by their unit's factor."""
+    def triples(self, key: str, columns: Columns, quantity: str) -> Vector:
+        """Three columns (n, 3) in SI units."""
         parts = [self._floats(key, name) for name in columns.columns]
-        return np.column_stack(parts) * self._factor(key, columns.unit, units)
+        return np.column_stack(parts) * self._factor(key, columns.unit, quantity)
 
     def times_ns(self, key: str, column: Column) -> list[int]:
         """The column as integer nanoseconds; it must rise from row to row."""
         seconds = self._floats(key, column.column)
-        factor = self._factor(key, column.unit, TIME)
+        factor = self._factor(key, column.unit, "time")
         # the product in nanoseconds is exact to far below one for any time of the week
         times = [round(float(value) * (factor * 1e9)) for value in seconds]
-        for place, (before, after) in enumerate(zip(times, times[1:], strict=False)):
+        for place, (before, after) in enumerate(itertools.pairwise(times)):
             if after <= before:
                 raise ConfigError(
                     f"{self._path}: line {place + 3}: time does not rise "
@@ -83,7 +85,9 @@ class CsvTable:
             if not math.isfinite(value):
                 found = cells[place] if place < len(cells) else ""
                 column = self._header[place]
-                raise ConfigError(f'{self._path}: line {row + 2}: {column}: found "{found}", expected a number')
+                raise ConfigError(
+                    f'{self._path}: line {row + 2}: {column}: found "{found}", expected a number'
+                )
             values[row] = value
         return values * sign
 
@@ -92,10 +96,12 @@ class CsvTable:
             raise unknown(self._mapping, f"{self._key}.{key}.column", name, self._header)
         return self._header.index(name)
 
-    def _factor(self, key: str, unit: str, units: Mapping[str, float]) -> float:
-        if unit not in units:
-            raise unknown(self._mapping, f"{self._key}.{key}.unit", unit, units)
-        return units[unit]
+    def _factor(self, key: str, unit: str, quantity: str) -> float:
+        try:
+            return si_factor(unit, quantity)
+        except ValueError as error:
+            expected = f"a unit of {quantity}: {', '.join(UNITS[quantity])}"
+            raise wrong(self._mapping, f"{self._key}.{key}.unit", unit, expected) from error
 
 
 def kept(times_ns: Sequence[int], every: int, outages_s: Sequence[tuple[float, float]]) -> list[bool]:
