@@ -12,6 +12,7 @@ from bridge.drivers.base import Entry
 from bridge.drivers.gnss_can import GnssCan, GnssCanOptions
 from bridge.drivers.imu_can import ImuCan, ImuCanOptions
 from bridge.drivers.odometer_can import OdometerCan, OdometerCanOptions
+from bridge.drivers.sensors_mavlink import SensorsMavlink, SensorsMavlinkOptions
 from bridge.drivers.speed_can import SpeedCan, SpeedCanOptions
 
 DRIVERS: dict[str, Entry] = {
@@ -20,4 +21,5 @@ DRIVERS: dict[str, Entry] = {
     "speed_can": Entry(SpeedCanOptions, SpeedCan, "can"),
     "gnss_can": Entry(GnssCanOptions, GnssCan, "can"),
     "baro_can": Entry(BaroCanOptions, BaroCan, "can"),
+    "sensors_mavlink": Entry(SensorsMavlinkOptions, SensorsMavlink, "mavlink"),
 }

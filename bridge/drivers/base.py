@@ -20,8 +20,15 @@ Samples = Sequence[Sample]
 class Driver(Protocol):
     """What the engine asks of a device."""
 
-    keys: Sequence[tuple[int, int]]
-    counters: Counters
+    @property
+    def keys(self) -> Sequence[tuple[int, int]]:
+        """The (source, key) pairs it subscribes to."""
+        ...
+
+    @property
+    def counters(self) -> Counters:
+        """What it counts."""
+        ...
 
     def feed(self, frame: RawFrame) -> Samples:
         """The samples that ``frame`` completes; often none."""
