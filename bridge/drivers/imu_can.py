@@ -31,8 +31,9 @@ _GAP: Final = int(ImuFlag.GAP)
 class ImuCanOptions(DeviceOptions, kw_only=True):
     """``[device.NAME]`` with ``driver = "imu_can"``.
 
-    ``bridge_samples`` is the longest gap that is filled from its neighbours; ``id_offset`` shifts every
-    identifier, for several units on one bus.
+    ``latency_ms`` is from the end of a sample to the arrival of its first frame. ``bridge_samples`` is
+    the longest gap that is filled from its neighbours; ``id_offset`` shifts every identifier, for
+    several units on one bus.
     """
 
     files: ClassVar[tuple[str, ...]] = ("calibration",)
@@ -54,7 +55,8 @@ class _Stream:
 
 
 class ImuCan:
-    """Ties the frames of a sample by ALIVE, finds what is missing by SAMPLE and device time, compensates."""
+    """Ties the frames of a sample by ALIVE, finds what is missing by SAMPLE and device time,
+    compensates."""
 
     def __init__(self, options: ImuCanOptions, context: Context) -> None:
         file = read_calibration(context.files[options.calibration], options.calibration)
@@ -88,6 +90,7 @@ class ImuCan:
         self._accel: tuple[float, ...] = ()
         self._gyro_data = self._accel_data = self._time_data = self._fd_data = b""
         self._done_alive = -1
+        self._rx_ns = 0
         # the last sample given out
         self._last: ImuSample | None = None
         self._last_sample = 0
@@ -107,6 +110,7 @@ class ImuCan:
                 self._gyro = codec.decode(data)
                 self._gyro_alive = alive
                 self._gyro_data = data
+                self._rx_ns = rx_ns
             return ()
         if key == self._accel_key:
             codec = self._accel_codec
@@ -137,7 +141,8 @@ class ImuCan:
             if gyro[0] or gyro[1] or gyro[2] or accel[0] or accel[1] or accel[2]:
                 flags = _SATURATED
             counts = (*gyro[3:], *accel[3:])
-            return self._sample(self._classic, counts, flags, int(status), int(sample), int(time_us), rx_ns)
+            stamp = self._rx_ns
+            return self._sample(self._classic, counts, flags, int(status), int(sample), int(time_us), stamp)
         if key == self._fd_key:
             return self._feed_fd(data, rx_ns)
         return self._feed_status(data)

@@ -54,8 +54,8 @@ class Position(NamedTuple):
 def inertial(message: Any, raw_accel_m_s2: float, raw_gyro_rad_s: float) -> Inertial | None:
     """An IMU message in our axes and units; None where it says that it has no new values.
 
-    Raises ValueError for a value that is not a number or beyond any sensor. The ``raw_`` factors are those of
-    RAW_IMU's counts.
+    Raises ValueError for a value that is not a number or beyond any sensor. The ``raw_`` factors are
+    those of RAW_IMU's counts.
     """
     kind = message.get_type()
     pressure = None

@@ -33,8 +33,8 @@ class SensorsMavlinkOptions(DeviceOptions, kw_only=True):
     """``[device.NAME]`` with ``driver = "sensors_mavlink"``.
 
     ``messages`` are those to listen to, at most one of a kind; ``system_id`` and ``component_id`` restrict
-    the sender (0: any), ``sensor_id`` the instance. Every message has its own clock unless ``clock`` names one.
-    ``rate_hz`` is that of the inertial message; ``pressure`` takes the pressure in it too, ten times a
+    the sender (0: any), ``sensor_id`` the instance. Every message has its own clock unless ``clock`` names
+    one. ``rate_hz`` is that of the inertial message; ``pressure`` takes the pressure in it too, ten times a
     second. The ``sigma_`` values stand where a message does not state its accuracy.
     """
 
