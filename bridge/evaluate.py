@@ -1,0 +1,283 @@
+"""A solution against the truth: errors, their size, and their size against what the solution claimed.
+
+Truth is that of one point of the vehicle and so is a solution; `TruthTable.at_point` moves the truth
+to the solution's point when they differ. Solutions are interpolated to the instants of the truth
+(position by a cubic through both ends with their velocities, velocity linearly, attitude along the
+shortest turn), which at 100 Hz costs less than a millimetre; instants with no solution within
+`MAX_GAP_NS` on both sides are left out. Truth taken at the very instants of solutions costs nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bridge.outputs import SolutionOut
+from nav import rotation
+from nav.earth import E2, SEMI_MAJOR, earth_rate_g
+from nav.types import Mode, S, SolutionFlag
+
+Array = NDArray[np.float64]
+Epochs = NDArray[np.int64]
+
+MAX_GAP_NS: Final = 250_000_000
+NAVIGATING: Final = (Mode.NAVIGATE, Mode.TRANSFER, Mode.DEGRADED)
+
+
+@dataclass(frozen=True)
+class TruthTable:
+    """Truth at n instants ``t_ns`` (n,).
+
+    ``lat``, ``lon`` (n,) rad, ``height`` (n,) m, ``v_g`` (n, 3) m/s east, north, up, ``q_gv`` (n, 4)
+    vehicle axes to east-north-up, ``w_iv_v`` (n, 3) rad/s in vehicle axes.
+    """
+
+    t_ns: Epochs
+    lat: Array
+    lon: Array
+    height: Array
+    v_g: Array
+    q_gv: Array
+    w_iv_v: Array
+
+    @classmethod
+    def from_documents(cls, documents: Iterable[Mapping[str, Any]]) -> TruthTable:
+        """From the objects of a capture's truth channel, as `truth_document` makes them."""
+        rows = list(documents)
+
+        def column(key: str, width: int | None = None) -> Array:
+            shape = (len(rows),) if width is None else (len(rows), width)
+            return np.array([row[key] for row in rows], dtype=np.float64).reshape(shape)
+
+        return cls(
+            t_ns=np.array([row["t_ns"] for row in rows], dtype=np.int64),
+            lat=np.radians(column("lat_deg")),
+            lon=np.radians(column("lon_deg")),
+            height=column("height_m"),
+            v_g=column("velocity_enu_m_s", 3),
+            q_gv=column("q_gv", 4),
+            w_iv_v=np.radians(column("rate_deg_s", 3)),
+        )
+
+    def at_point(self, lever_v: Sequence[float]) -> TruthTable:
+        """Truth of another point, ``lever_v`` (3,) m away in vehicle axes (right, forward, up)."""
+        lever = np.asarray(lever_v, dtype=np.float64)
+        offset = rotation.quat_rotate(self.q_gv, np.broadcast_to(lever, self.v_g.shape))
+        w_ie_g = np.array([earth_rate_g(lat) for lat in self.lat]).reshape(-1, 3)
+        w_ev_v = self.w_iv_v - rotation.quat_rotate(rotation.quat_conjugate(self.q_gv), w_ie_g)
+        swing = rotation.quat_rotate(self.q_gv, np.cross(w_ev_v, lever))
+        r_m, r_n = _radii(self.lat)
+        return TruthTable(
+            self.t_ns,
+            self.lat + offset[:, 1] / (r_m + self.height),
+            self.lon + offset[:, 0] / ((r_n + self.height) * np.cos(self.lat)),
+            self.height + offset[:, 2],
+            self.v_g + swing,
+            self.q_gv,
+            self.w_iv_v,
+        )
+
+
+def truth_document(
+    lat: float, lon: float, height: float, v_g: Array, q_gv: Array, w_iv_v: Array
+) -> dict[str, Any]:
+    """One object of the truth channel; the recorder adds ``t_ns``. Arguments as in `TruthTable`."""
+    w, x, y, z = (float(value) for value in q_gv)
+    heading, pitch, roll = (math.degrees(float(a)) for a in rotation.euler_from_quat(q_gv))
+    return {
+        "lat_deg": math.degrees(lat),
+        "lon_deg": math.degrees(lon),
+        "height_m": float(height),
+        "velocity_enu_m_s": [float(v) for v in v_g],
+        "q_gv": [w, x, y, z],
+        "rate_deg_s": [math.degrees(float(rate)) for rate in w_iv_v],
+        "roll_deg": roll,
+        "pitch_deg": pitch,
+        "heading_deg": heading,
+    }
+
+
+@dataclass(frozen=True)
+class SolutionTable:
+    """Solutions at n instants: ``t_ns``, ``mode``, ``flags`` (n,) and ``state`` (n, `S.SIZE`)."""
+
+    t_ns: Epochs
+    mode: NDArray[np.int64]
+    flags: NDArray[np.int64]
+    state: Array
+
+    @classmethod
+    def from_outputs(cls, outputs: Iterable[SolutionOut]) -> SolutionTable:
+        """From what an engine put out for one navigator, in order."""
+        rows = [out.solution for out in outputs]
+        return cls(
+            np.array([row.t_ns for row in rows], dtype=np.int64),
+            np.array([int(row.mode) for row in rows], dtype=np.int64),
+            np.array([row.flags for row in rows], dtype=np.int64),
+            np.array([row.state for row in rows], dtype=np.float64).reshape(-1, S.SIZE),
+        )
+
+    def navigating(self) -> SolutionTable:
+        """Those of a navigator that was under way and had a position."""
+        keep = np.isin(self.mode, [int(mode) for mode in NAVIGATING])
+        return self.where(keep & ((self.flags & SolutionFlag.POSITION) != 0))
+
+    def where(self, keep: NDArray[np.bool_]) -> SolutionTable:
+        """The rows that ``keep`` (n,) marks."""
+        return SolutionTable(self.t_ns[keep], self.mode[keep], self.flags[keep], self.state[keep])
+
+    def at(self, t_ns: Epochs) -> tuple[SolutionTable, NDArray[np.bool_]]:
+        """Interpolated to ``t_ns`` (m,), and which of these have solutions close enough on both sides."""
+        if len(self.t_ns) == 0:
+            return self, np.zeros(len(t_ns), dtype=np.bool_)
+        right = np.clip(np.searchsorted(self.t_ns, t_ns), 0, len(self.t_ns) - 1)
+        exact = self.t_ns[right] == t_ns
+        left = np.where(exact, right, np.maximum(right - 1, 0))
+        step_ns = self.t_ns[right] - self.t_ns[left]
+        inside = (self.t_ns[left] <= t_ns) & (t_ns <= self.t_ns[right])
+        usable = inside & (step_ns <= MAX_GAP_NS)
+        dt = np.where(step_ns > 0, step_ns, 1) * 1e-9
+        x = np.where(step_ns > 0, (t_ns - self.t_ns[left]) * 1e-9 / dt, 0.0)[:, None]
+        a, b = self.state[left], self.state[right]
+        state = a + x * (b - a)
+        state[:, :3] = _hermite(a, b, x, dt[:, None])
+        q_a, q_b = a[:, S.Q], b[:, S.Q]
+        turn = rotation.rotvec_from_quat(rotation.quat_multiply(rotation.quat_conjugate(q_a), q_b))
+        state[:, S.Q] = rotation.quat_multiply(q_a, rotation.quat_from_rotvec(x * turn))
+        table = SolutionTable(np.asarray(t_ns), self.mode[left], self.flags[left] & self.flags[right], state)
+        return table.where(usable), usable
+
+
+def _radii(lat: Array) -> tuple[Array, Array]:
+    """Radii of curvature (R_M, R_N), m. Groves, eqs. (2.105) and (2.106)."""
+    w2 = 1.0 - E2 * np.sin(lat) ** 2
+    return SEMI_MAJOR * (1.0 - E2) / w2**1.5, SEMI_MAJOR / np.sqrt(w2)
+
+
+def _hermite(a: Array, b: Array, x: Array, dt: Array) -> Array:
+    """Latitude, longitude, height (n, 3) at the fraction ``x`` (n, 1) between two states (n, `S.SIZE`)."""
+
+    def rates(state: Array) -> Array:
+        r_m, r_n = _radii(state[:, S.LAT])
+        v, height = state[:, S.V], state[:, S.HEIGHT]
+        lon_rate = v[:, 0] / ((r_n + height) * np.cos(state[:, S.LAT]))
+        return np.stack((v[:, 1] / (r_m + height), lon_rate, v[:, 2]), axis=1)
+
+    start, end = a[:, :3], b[:, :3].copy()
+    end[:, 1] = start[:, 1] + _wrapped(end[:, 1] - start[:, 1])
+    rise = end - start
+    from_a, from_b = rates(a) * dt, rates(b) * dt
+    bend = x * (1.0 - x) * ((1.0 - x) * (from_a - rise) - x * (from_b - rise))
+    return np.asarray(start + x * rise + bend)
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.asarray((angle + math.pi) % (2.0 * math.pi) - math.pi)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Solution minus truth at n instants, with the solution's own sigmas.
+
+    ``position`` m, ``velocity`` m/s and ``attitude`` rad (rotation vector), all (n, 3) east, north, up;
+    ``heading`` (n,) rad, NaN where not valid.
+    """
+
+    t_ns: Epochs
+    position: Array
+    velocity: Array
+    attitude: Array
+    heading: Array
+    sigma_position: Array
+    sigma_velocity: Array
+    sigma_attitude: Array
+
+
+def errors(solutions: SolutionTable, truth: TruthTable) -> Errors:
+    """Errors of ``solutions`` while navigating, at the instants of ``truth``."""
+    found, usable = solutions.navigating().at(truth.t_ns)
+    state = found.state
+    lat, lon, height = truth.lat[usable], truth.lon[usable], truth.height[usable]
+    r_m, r_n = _radii(lat)
+    east = _wrapped(state[:, S.LON] - lon) * (r_n + height) * np.cos(lat)
+    north = (state[:, S.LAT] - lat) * (r_m + height)
+    up = state[:, S.HEIGHT] - height
+    q_true = truth.q_gv[usable]
+    q_error = rotation.quat_multiply(state[:, S.Q], rotation.quat_conjugate(q_true))
+    heading = _heading(state[:, S.Q]) - _heading(q_true)
+    valid = (found.flags & SolutionFlag.HEADING) != 0
+    return Errors(
+        t_ns=found.t_ns,
+        position=np.stack((east, north, up), axis=1),
+        velocity=state[:, S.V] - truth.v_g[usable],
+        attitude=rotation.rotvec_from_quat(q_error),
+        heading=np.where(valid, _wrapped(heading), np.nan),
+        sigma_position=state[:, S.SIGMA_P],
+        sigma_velocity=state[:, S.SIGMA_V],
+        sigma_attitude=state[:, S.SIGMA_PHI],
+    )
+
+
+def _heading(q: Array) -> Array:
+    w, x, y, z = q.T
+    return np.asarray(np.arctan2(2.0 * (x * y - w * z), w * w - x * x + y * y - z * z))
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: RMS, largest and final error in ``unit``.
+
+    ``normalised`` is the RMS of error over sigma per axis, 1 where the solution knows how good it is.
+    """
+
+    name: str
+    unit: str
+    rms: float
+    largest: float
+    final: float
+    normalised: float
+
+
+def summary(found: Errors) -> list[Row]:
+    """Horizontal, height, velocity, heading and level errors; empty when there is nothing to compare."""
+    if len(found.t_ns) == 0:
+        return []
+    degrees = 180.0 / math.pi
+    level, heading = found.attitude[:, :2], found.heading[:, None]
+    return [
+        _row("horizontal", "m", found.position[:, :2], found.sigma_position[:, :2]),
+        _row("height", "m", found.position[:, 2:], found.sigma_position[:, 2:]),
+        _row("velocity", "m/s", found.velocity, found.sigma_velocity),
+        _row("heading", "deg", heading * degrees, found.sigma_attitude[:, 2:] * degrees),
+        _row("level", "deg", level * degrees, found.sigma_attitude[:, :2] * degrees),
+    ]
+
+
+def _row(name: str, unit: str, error: Array, sigma: Array) -> Row:
+    size = np.sqrt(np.sum(error * error, axis=1))
+    ratio = np.divide(error, sigma, out=np.full_like(error, np.nan), where=sigma > 0.0)
+    known = size[np.isfinite(size)]
+    if len(known) == 0:
+        return Row(name, unit, math.nan, math.nan, math.nan, math.nan)
+    ratio = ratio[np.isfinite(ratio)]
+    normalised = float(np.sqrt(np.mean(ratio * ratio))) if len(ratio) else math.nan
+    rms = float(np.sqrt(np.mean(known * known)))
+    return Row(name, unit, rms, float(known.max()), float(known[-1]), normalised)
+
+
+def table(rows: Sequence[Row]) -> list[str]:
+    """The lines a person reads."""
+    if not rows:
+        return ["error against truth: the navigator was not under way at any instant with truth"]
+    lines = [f"{'error against truth':<22}{'RMS':>10}{'largest':>10}{'final':>10}{'error/sigma':>13}"]
+    for row in rows:
+        name = f"{row.name} ({row.unit})"
+        lines.append(
+            f"{name:<22}{row.rms:>10.4f}{row.largest:>10.4f}{row.final:>10.4f}{row.normalised:>13.2f}"
+        )
+    return lines
