@@ -1,0 +1,152 @@
+"""The bridge configuration and the calibration sheet that go with a bench, as TOML text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_bus.devices import FRAME_NS
+from virtual_bus.ellipsoid import G0
+from virtual_bus.grades import ARCSEC, DEG_PER_H, UG, Grade, ImuErrors
+from virtual_bus.scenario import DeviceTable, Scenario
+from virtual_bus.truth import mounting_matrix
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """What a configuration is made from; ``buses`` are the real channels by the scenario's names."""
+
+    scenario: Scenario
+    grade: Grade
+    calibration: str
+    interface: str
+    buses: Mapping[str, str]
+    fd: bool
+
+
+def imu_errors(grade: Grade) -> dict[str, float]:
+    """What a filter should assume of a unit of ``grade``, calibrated: keys of the bridge's imu_errors.
+
+    At 1 g errors of scale and axes of the accelerometers look like biases and are counted as such.
+    """
+    tilt_ug = grade.accel_misalignment_arcsec * ARCSEC * 1e6
+    return {
+        "gyro_bias_deg_per_h": grade.gyro_bias_deg_per_h,
+        "gyro_instability_deg_per_h": grade.gyro_instability_deg_per_h,
+        "gyro_random_walk_deg_per_sqrt_h": grade.gyro_random_walk_deg_per_sqrt_h,
+        "accel_bias_ug": math.hypot(grade.accel_bias_ug, grade.accel_scale_ppm, tilt_ug),
+        "accel_instability_ug": grade.accel_instability_ug,
+        "accel_random_walk_ug_per_sqrt_hz": grade.accel_random_walk_ug_per_sqrt_hz,
+        "correlation_s": grade.correlation_s,
+    }
+
+
+def calibration_toml(errors: ImuErrors, grade: Grade) -> str:
+    """The calibration sheet: what was measured of this unit, so not quite what it is."""
+    gyro, accel = errors.calibrated_gyro, errors.calibrated_accel
+    lines = [
+        "[device]",
+        f'model = "simulated unit of grade {grade.name}"',
+        f"serial = {errors.serial}",
+        "",
+        "[gyro]",
+        f"scale_arcsec_per_pulse = {_vector(gyro.scale / ARCSEC)}",
+        f"bias_deg_per_h = {_vector(gyro.bias / DEG_PER_H)}",
+        f"g_sensitivity_deg_per_h_per_g = {_matrix(gyro.g_sensitivity * G0 / DEG_PER_H)}",
+        f"misalignment_arcsec = {_matrix((gyro.axes - np.eye(3)) / ARCSEC)}",
+        "",
+        "[accel]",
+        f"scale_m_s_per_pulse = {_vector(accel.scale)}",
+        f"bias_ug = {_vector(accel.bias / UG)}",
+        f"misalignment_arcsec = {_matrix((accel.axes - np.eye(3)) / ARCSEC)}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
+    """A configuration of the bridge for the bench that ``wiring`` describes."""
+    s = wiring.scenario
+    lines = [f"# made for the simulated bench: {s.title}"]
+    for name, channel in wiring.buses.items():
+        lines += [
+            f"[source.{name}]",
+            'type = "can"',
+            f"interface = {_text(wiring.interface)}",
+            f"channel = {_text(channel)}",
+            f"fd = {str(wiring.fd).lower()}",
+            "",
+        ]
+    if mavlink_url is not None:
+        lines += ["[source.telemetry]", 'type = "mavlink"', f"url = {_text(mavlink_url)}", ""]
+    # frames of one sample follow each other; the drivers stamp the IMU's by the last of its three
+    last_ms = 0.0 if s.imu.fd else 2e-6 * FRAME_NS
+    imu = [f"calibration = {_text(wiring.calibration)}", f"rate_hz = {s.imu.rate_hz!r}"]
+    lines += _device("imu", "imu_can", s.imu, imu, last_ms)
+    if s.odometer is not None:
+        lines += _device("odometer", "odometer_can", s.odometer, [f"m_per_tick = {s.odometer.m_per_tick!r}"])
+    if s.speed is not None:
+        lines += _device("speed", "speed_can", s.speed, [])
+    if s.gnss is not None:
+        lines += _device("gnss", "gnss_can", s.gnss, [])
+    if s.baro is not None:
+        sigma = max(0.01, math.hypot(s.baro.noise_m, 0.0))
+        lines += _device("baro", "baro_can", s.baro, [f"sigma_m = {sigma!r}"])
+
+    v = s.vehicle
+    C_bv = mounting_matrix(*v.mounting_deg).T
+    imu_at = np.array(v.imu_m)
+    arms = {
+        "gnss_lever_arm_m": np.array(v.antenna_m),
+        "odometer_lever_arm_m": np.zeros(3),
+        "output_point_m": imu_at if v.output_m is None else np.array(v.output_m),
+    }
+    mounting = '"find"' if s.navigator.find_mounting else _vector(np.array(v.mounting_deg))
+    lines += [
+        "[navigator.main]",
+        "devices = [" + ", ".join(_text(name) for name in s.devices()) + "]",
+        f"alignment = {_text(s.navigator.alignment)}",
+        f"mounting_deg = {mounting}",
+        *(f"{key} = {_vector(C_bv @ (place - imu_at))}" for key, place in arms.items()),
+        "",
+        "[navigator.main.imu_errors]",
+        *(f"{key} = {value!r}" for key, value in imu_errors(wiring.grade).items()),
+        "",
+        "[sink.solution]",
+        'type = "can_solution"',
+        f"source = {_text(next(iter(wiring.buses)))}",
+        'navigator = "main"',
+        "rate_hz = 50.0",
+    ]
+    if mavlink_url is not None:
+        lines += ["", "[sink.telemetry]", 'type = "mavlink"', 'source = "telemetry"', 'navigator = "main"']
+    return "\n".join(lines) + "\n"
+
+
+def _device(name: str, driver: str, table: DeviceTable, extra: list[str], more_ms: float = 0.0) -> list[str]:
+    return [
+        f"[device.{name}]",
+        f'driver = "{driver}"',
+        f"source = {_text(table.channel)}",
+        f"latency_ms = {round(table.latency_ms + more_ms, 6)!r}",
+        *extra,
+        "",
+    ]
+
+
+def _text(value: str) -> str:
+    return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _vector(values: Array) -> str:
+    # adding zero turns a minus zero into a plain one
+    return "[" + ", ".join(repr(float(value) + 0.0) for value in values) + "]"
+
+
+def _matrix(values: Array) -> str:
+    return "[" + ", ".join(_vector(row) for row in values) + "]"

@@ -1,0 +1,324 @@
+"""Scenarios: what is driven, with which instruments, and what goes wrong; read strictly from TOML.
+
+Packaged scenarios (virtual_bus/scenarios/) are found by name, others by path. A scenario lasts as long as
+its manoeuvres; a shorter time cuts it, a longer one repeats the manoeuvres from ``repeat_from`` on.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+import typing
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from virtual_bus.faults import AnyFault
+from virtual_bus.grades import GRADES
+from virtual_bus.manoeuvres import Blend, Manoeuvre, Profile
+from virtual_bus.truth import Trajectory, Vehicle, mounting_matrix, roll_per_accel
+
+PACKAGED: Final = Path(__file__).parent / "scenarios"
+
+Positive = Annotated[float, Meta(gt=0.0)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
+Rate = Annotated[float, Meta(ge=0.1, le=2000.0)]
+Three = tuple[float, float, float]
+Two = tuple[NotNegative, NotNegative]
+
+
+class ScenarioError(ValueError):
+    """A scenario that is not there or is wrong: file, key, what was found, what was expected."""
+
+
+class Table(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """Base of the tables of a scenario: no unknown key."""
+
+
+class Start(Table):
+    """``[start]``: where and when; GPS time of the first instant."""
+
+    lat_deg: Annotated[float, Meta(ge=-89.0, le=89.0)]
+    lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
+    height_m: Annotated[float, Meta(ge=-1000.0, le=10_000.0)] = 0.0
+    heading_deg: float = 0.0
+    gps_week: Annotated[int, Meta(ge=0, le=4095)] = 2300
+    gps_tow_s: Annotated[int, Meta(ge=0, lt=604_800)] = 216_000
+    leap_seconds: Annotated[int, Meta(ge=0, le=255)] = 18
+
+
+class VehicleOptions(Table):
+    """``[vehicle]``: places in vehicle axes (right, forward, up) from the middle of the rear axle.
+
+    ``mounting_deg`` is pitch, roll, heading of the IMU in the vehicle. ``output_m`` is the point that the
+    solution is for and truth is told at; by default the IMU.
+    """
+
+    imu_m: Three = (0.3, 1.2, 0.5)
+    antenna_m: Three = (-0.2, 0.7, 1.6)
+    output_m: Three | None = None
+    mounting_deg: Three = (0.0, 0.0, 0.0)
+    roll_deg_per_g: float = 3.0
+    pitch_deg_per_g: float = 0.0
+
+
+class DeviceTable(Table):
+    """What the table of every device holds: its bus and how late its frames come.
+
+    ``latency_ms`` is the shortest time from the instant measured to the first frame, ``jitter_ms`` what
+    may be added (the mean of an exponential law for GNSS, the end of a uniform one for the others).
+    ``clock_ppm`` by default is drawn; ``clock_offset_s`` is the device's clock at the start.
+    """
+
+    channel: str = "can0"
+    latency_ms: NotNegative = 0.4
+    jitter_ms: NotNegative = 0.1
+    clock_ppm: Annotated[float, Meta(ge=-1000.0, le=1000.0)] | None = None
+    clock_offset_s: NotNegative = 0.0
+
+
+class ImuTable(DeviceTable):
+    """``[imu]``. Its clock starts 100 s before its 32-bit microseconds wrap."""
+
+    rate_hz: Rate = 200.0
+    fd: bool = False
+    clock_offset_s: NotNegative = 4194.967296
+
+
+class OdometerTable(DeviceTable):
+    """``[odometer]``. ``ticks`` is what its counter shows at the start: shortly before it wraps."""
+
+    rate_hz: Rate = 50.0
+    m_per_tick: Positive = 0.02
+    scale_error_ppm: NotNegative = 2000.0
+    ticks: Annotated[int, Meta(ge=0, lt=1 << 32)] = (1 << 32) - 20_000
+
+
+class SpeedTable(DeviceTable):
+    """``[speed]``: a Doppler log."""
+
+    rate_hz: Rate = 10.0
+    sigma_m_s: Positive = 0.05
+    scale_error_ppm: NotNegative = 1000.0
+
+
+class BaroTable(DeviceTable):
+    """``[baro]``: sigmas of the datum, its drift, and the noise, in metres of height."""
+
+    rate_hz: Rate = 25.0
+    offset_m: NotNegative = 5.0
+    drift_m: NotNegative = 0.5
+    correlation_s: Positive = 1000.0
+    noise_m: NotNegative = 0.3
+
+
+class GnssTable(DeviceTable):
+    """``[gnss]``: sigmas are [horizontal per axis, vertical]."""
+
+    rate_hz: Rate = 5.0
+    latency_ms: NotNegative = 60.0
+    jitter_ms: NotNegative = 4.0
+    white_m: Two = (0.5, 0.8)
+    correlated_m: Two = (0.0, 0.0)
+    correlation_s: Positive = 120.0
+    velocity_m_s: Two = (0.03, 0.05)
+    fix_type: Annotated[int, Meta(ge=2, le=6)] = 3
+    satellites: Annotated[int, Meta(ge=4, le=60)] = 14
+
+
+class NavigatorTable(Table):
+    """``[navigator]``: what the bridge is told about this vehicle."""
+
+    alignment: Literal["static", "motion"] = "static"
+    find_mounting: bool = False
+
+
+class Scenario(Table):
+    """A whole scenario; `load` reads and checks one."""
+
+    title: str
+    grade: str
+    start: Start
+    manoeuvre: Annotated[list[Manoeuvre], Meta(min_length=1)]
+    vehicle: VehicleOptions = msgspec.field(default_factory=VehicleOptions)
+    imu: ImuTable = msgspec.field(default_factory=ImuTable)
+    odometer: OdometerTable | None = None
+    speed: SpeedTable | None = None
+    baro: BaroTable | None = None
+    gnss: GnssTable | None = None
+    navigator: NavigatorTable = msgspec.field(default_factory=NavigatorTable)
+    fault: list[AnyFault] = msgspec.field(default_factory=list)
+    repeat_from: int = -1
+
+    def duration_s(self) -> float:
+        """Time that the manoeuvres take once."""
+        return sum(m.duration_s for m in self.manoeuvre)
+
+    def devices(self) -> dict[str, DeviceTable]:
+        """The tables of the devices that are there, by name."""
+        tables = {
+            "imu": self.imu,
+            "odometer": self.odometer,
+            "speed": self.speed,
+            "baro": self.baro,
+            "gnss": self.gnss,
+        }
+        return {name: table for name, table in tables.items() if table is not None}
+
+    def profile(self, seconds: float) -> Profile:
+        """What is driven in at least ``seconds``. Raises ValueError naming the manoeuvre at fault."""
+        blends: list[Blend] = []
+        speed = total = 0.0
+        tail = range(len(self.manoeuvre))[self.repeat_from :]
+        places = list(range(len(self.manoeuvre)))
+        while places:
+            for place in places:
+                manoeuvre = self.manoeuvre[place]
+                try:
+                    part = manoeuvre.blends(speed)
+                except ValueError as error:
+                    raise ValueError(f"manoeuvre[{place}]: {error}") from error
+                blends += part
+                # steps are differences of speeds: rounding must not become a creep
+                speed = round(speed + sum(blend.speed for blend in part), 9)
+                total += manoeuvre.duration_s
+            places = list(tail) if total < seconds else []
+        return Profile(blends, math.radians(self.start.heading_deg))
+
+    def trajectory(self, seconds: float) -> Trajectory:
+        """True motion over at least ``seconds``."""
+        options = self.vehicle
+        vehicle = Vehicle(
+            imu=np.array(options.imu_m),
+            C_vb=mounting_matrix(*options.mounting_deg),
+            roll_per_accel=roll_per_accel(options.roll_deg_per_g),
+            pitch_per_accel=roll_per_accel(options.pitch_deg_per_g),
+        )
+        return Trajectory(
+            self.profile(seconds),
+            vehicle,
+            math.radians(self.start.lat_deg),
+            math.radians(self.start.lon_deg),
+            self.start.height_m,
+        )
+
+
+def packaged() -> dict[str, str]:
+    """Title of every packaged scenario by its name."""
+    return {path.stem: load(path).title for path in sorted(PACKAGED.glob("*.toml"))}
+
+
+def load(where: str | Path) -> Scenario:
+    """Read a scenario by path, or a packaged one by name.
+
+    Raises ScenarioError when there is none, or something in it is unknown, missing or impossible.
+    """
+    path = Path(where)
+    names = sorted(p.stem for p in PACKAGED.glob("*.toml"))
+    if str(where).removesuffix(".toml") in names:
+        path = PACKAGED / f"{str(where).removesuffix('.toml')}.toml"
+    elif not path.is_file():
+        raise ScenarioError(f"{where}: no such scenario; expected a file or one of {', '.join(names)}")
+    try:
+        document = tomllib.loads(path.read_text("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path.name}: not valid TOML: {error}") from error
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from error
+    _require_finite(path.name, document, "")
+    try:
+        scenario = msgspec.convert(document, Scenario)
+    except msgspec.ValidationError as error:
+        raise ScenarioError(f"{path.name}: {_explain(document, str(error))}") from error
+    _check(path.name, scenario)
+    return scenario
+
+
+def _require_finite(file: str, value: object, key: str) -> None:
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ScenarioError(f"{file}: {key}: found {value}, expected a finite number")
+    items: list[tuple[str, object]] = []
+    if isinstance(value, dict):
+        items = [(f"{key}.{name}" if key else str(name), item) for name, item in value.items()]
+    elif isinstance(value, list):
+        items = [(f"{key}[{place}]", item) for place, item in enumerate(value)]
+    for name, item in items:
+        _require_finite(file, item, name)
+
+
+def _check(file: str, scenario: Scenario) -> None:
+    if scenario.grade not in GRADES:
+        raise ScenarioError(
+            f'{file}: grade: found "{scenario.grade}", expected one of {", ".join(sorted(GRADES))}'
+        )
+    count = len(scenario.manoeuvre)
+    if not -count <= scenario.repeat_from < count:
+        raise ScenarioError(
+            f"{file}: repeat_from: found {scenario.repeat_from}, expected {-count} to {count - 1}"
+        )
+    devices = scenario.devices()
+    for place, fault in enumerate(scenario.fault):
+        device = getattr(fault, "device", None)
+        if device is not None and device not in devices:
+            raise ScenarioError(
+                f'{file}: fault[{place}].device: found "{device}", expected one of {", ".join(devices)}'
+            )
+    try:
+        # twice through: the repeated part must also follow itself
+        scenario.profile(2.0 * scenario.duration_s())
+    except ValueError as error:
+        raise ScenarioError(f"{file}: {error}") from error
+
+
+def _explain(document: dict[str, Any], message: str) -> str:
+    """A message of msgspec as key, found, expected."""
+    text, _, where = message.partition(" - at `$")
+    parts = re.findall(r"[^.\[\]`]+", where)
+    found: Any = document
+    target: Any = Scenario
+    key = ""
+    for part in parts:
+        target = _member(target, part, found)
+        found = found[int(part)] if isinstance(found, list) else found.get(part)
+        key = f"{key}[{part}]" if part.isdigit() else f"{key}.{part}" if key else part
+    if match := re.match(r"Object contains unknown field `(.*)`", text):
+        fields = ", ".join(_tagged(target, found).__struct_fields__)
+        return f"{key + '.' if key else ''}{match[1]}: found an unknown key, expected one of {fields}"
+    if match := re.match(r"Object missing required field `(.*)`", text):
+        return f"{key + '.' if key else ''}{match[1]}: found nothing, expected this key"
+    if text.startswith("Invalid value") and key.endswith("kind"):
+        kinds = ", ".join(sorted(m.__struct_config__.tag for m in typing.get_args(_last_union(parts))))
+        return f'{key}: found "{found}", expected one of {kinds}'
+    shown = "a table" if isinstance(found, dict) else repr(found)
+    if match := re.match(r"Expected (.*?)(?:, got .*)?$", text):
+        return f"{key}: found {shown}, expected {match[1].replace('`', '')}"
+    return f"{key}: {text}"
+
+
+def _last_union(parts: list[str]) -> Any:
+    return AnyFault if parts[0] == "fault" else Manoeuvre
+
+
+def _member(target: Any, part: str, found: Any) -> Any:
+    """Type of a member of ``target``; None where it does not matter any more."""
+    if part.isdigit():
+        return Manoeuvre if target is list[Manoeuvre] else AnyFault if target is list[AnyFault] else None
+    struct = _tagged(target, found)
+    hint = typing.get_type_hints(struct).get(part) if struct is not None else None
+    for member in typing.get_args(hint) or ():
+        if isinstance(member, type) and issubclass(member, msgspec.Struct) and hint is not Manoeuvre:
+            return member
+    return hint
+
+
+def _tagged(target: Any, found: Any) -> Any:
+    """The struct that ``found`` is meant to be: of a union, the one its kind names."""
+    for member in typing.get_args(target):
+        config = getattr(member, "__struct_config__", None)
+        if isinstance(found, dict) and config is not None and config.tag == found.get("kind"):
+            return member
+    return target if isinstance(target, type) else None
