@@ -100,7 +100,7 @@ class MavlinkTelemetry:
                     sent += self._text(Severity.INFO, f"{output.stage} {100.0 * output.fraction:.0f} %")
                 case Text():
                     sent += self._text(output.severity, output.text)
-        if picture.now_ns >= self._soonest_ns:
+        if outputs and picture.now_ns >= self._soonest_ns:
             sent += self._due(picture.now_ns)
         return sent + self._peer.drain()
 
