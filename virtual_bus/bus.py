@@ -39,8 +39,8 @@ class Bench:
     """A running scenario.
 
     ``scenario`` is one, or the name or path of one; ``seed`` draws every error. It lasts ``seconds``, or
-    as long as the manoeuvres. ``start_ns`` is added to every time that goes in or comes out, so a bench can
-    live on the clock of whoever drives it. Raises `virtual_bus.scenario.ScenarioError`.
+    as long as the scenario says. ``start_ns`` is added to every time that goes in or comes out, so that a
+    bench can live on the clock of whoever drives it. Raises `virtual_bus.scenario.ScenarioError`.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Bench:
     ) -> None:
         self.scenario = what if isinstance(what, Scenario) else scenario.load(what)
         self.seed = seed
-        self.seconds = self.scenario.duration_s() if seconds is None else float(seconds)
+        self.seconds = self.scenario.seconds() if seconds is None else float(seconds)
         if not 0.0 < self.seconds <= 1e6:
             raise scenario.ScenarioError(
                 f"seconds: found {seconds}, expected more than 0 and at most a million"
@@ -84,6 +84,10 @@ class Bench:
             else:
                 heapq.heapreplace(heap, (following.t_ns, number, following, stream))
             yield frame._replace(t_ns=frame.t_ns + start_ns) if start_ns else frame
+
+    def prepare(self) -> None:
+        """Solve the whole trajectory now, so that real time meets no pause for it later."""
+        self.trajectory.solve(self.end_ns - self.start_ns)
 
     def truth(self, t_ns: int) -> TruthState:
         """Truth at ``t_ns`` for the output point; times outside of the scenario are taken at its ends."""

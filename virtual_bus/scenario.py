@@ -1,7 +1,8 @@
 """Scenarios: what is driven, with which instruments, and what goes wrong; read strictly from TOML.
 
-Packaged scenarios (virtual_bus/scenarios/) are found by name, others by path. A scenario lasts as long as
-its manoeuvres; a shorter time cuts it, a longer one repeats the manoeuvres from ``repeat_from`` on.
+Packaged scenarios (virtual_bus/scenarios/) are found by name, others by path. A scenario lasts for its
+``duration_s`` or as long as its manoeuvres; a shorter time cuts it, a longer one repeats the manoeuvres
+from ``repeat_from`` on.
 """
 
 from __future__ import annotations
@@ -153,10 +154,11 @@ class Scenario(Table):
     navigator: NavigatorTable = msgspec.field(default_factory=NavigatorTable)
     fault: list[AnyFault] = msgspec.field(default_factory=list)
     repeat_from: int = -1
+    duration_s: Positive | None = None
 
-    def duration_s(self) -> float:
-        """Time that the manoeuvres take once."""
-        return sum(m.duration_s for m in self.manoeuvre)
+    def seconds(self) -> float:
+        """How long it lasts unless told otherwise: ``duration_s``, or the manoeuvres once."""
+        return self.duration_s if self.duration_s is not None else sum(m.duration_s for m in self.manoeuvre)
 
     def devices(self) -> dict[str, DeviceTable]:
         """The tables of the devices that are there, by name."""
@@ -209,7 +211,8 @@ class Scenario(Table):
 
 def packaged() -> dict[str, str]:
     """Title of every packaged scenario by its name."""
-    return {path.stem: load(path).title for path in sorted(PACKAGED.glob("*.toml"))}
+    paths = sorted(PACKAGED.glob("*.toml"))
+    return {path.stem: str(tomllib.loads(path.read_text("utf-8"))["title"]) for path in paths}
 
 
 def load(where: str | Path) -> Scenario:
@@ -269,7 +272,7 @@ def _check(file: str, scenario: Scenario) -> None:
             )
     try:
         # twice through: the repeated part must also follow itself
-        scenario.profile(2.0 * scenario.duration_s())
+        scenario.profile(2.0 * sum(m.duration_s for m in scenario.manoeuvre))
     except ValueError as error:
         raise ScenarioError(f"{file}: {error}") from error
 

@@ -174,6 +174,10 @@ class Trajectory:
         self._coef = np.empty((n, NODES + 1, 9))
         self._total = np.empty((n, 6))
 
+    def solve(self, until_ns: int) -> None:
+        """Integrate up to ``until_ns`` now; what is not solved yet is solved when it is asked for."""
+        self._solve_pieces(int(np.searchsorted(self._start_ns, until_ns, side="right")) - 1)
+
     def increments(self, t_ns: Times) -> tuple[Array, Array]:
         """Exact dtheta (n-1, 3) rad and dv (n-1, 3) m/s in IMU axes between the times ``t_ns`` (n,).
 
@@ -219,8 +223,7 @@ class Trajectory:
         """Piece of each time and the integrals (n, 9) from that piece's start."""
         t_ns = np.clip(t_ns, 0, self.profile.end_ns)
         index = np.searchsorted(self._start_ns, t_ns, side="right") - 1
-        while self._solved <= index.max():
-            self._solve_chunk()
+        self._solve_pieces(int(index.max()))
         half = self._half[index]
         x = (t_ns - self._start_ns[index]) * 1e-9 / half - 1.0
         basis = chebyshev.chebvander(x, NODES)
@@ -230,6 +233,10 @@ class Trajectory:
         for a, b in pairwise(cuts):
             out[a:b] = basis[a:b] @ self._coef[index[a]]
         return index, out
+
+    def _solve_pieces(self, last: int) -> None:
+        while self._solved <= last:
+            self._solve_chunk()
 
     def _solve_chunk(self) -> None:
         """Integrate the next pieces: Picard's iteration over all their nodes at once."""

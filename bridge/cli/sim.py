@@ -1,0 +1,162 @@
+"""``navbridge sim``: the simulated bench alone, its devices on a real bus in real time."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NoReturn
+
+import can
+
+from bridge.errors import ConfigError, SourceError
+from virtual_bus import scenario
+from virtual_bus.bus import Bench, Sent
+
+_STATUS_S = 10.0
+
+
+def add_parser(subparsers: Any) -> argparse.ArgumentParser:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "sim",
+        help="put the simulated sensors of a scenario on a CAN bus",
+        description="Put the virtual devices of a scenario on a CAN bus and nothing else: what a vehicle's "
+        "sensors would send. Run the bridge beside it: navbridge run DIR/config.toml (see --config-out).",
+        epilog="packaged scenarios: "
+        + "; ".join(f"{name} ({title})" for name, title in scenario.packaged().items()),
+    )
+    parser.add_argument("scenario", metavar="SCENARIO", help="name of a packaged scenario, or a TOML file")
+    parser.add_argument(
+        "--interface", default="socketcan", help="a python-can interface (default: socketcan)"
+    )
+    parser.add_argument("--channel", default="vcan0", help="its channel (default: vcan0)")
+    parser.add_argument("--seed", type=_seed, default=1, help="draws every sensor's errors (default: 1)")
+    parser.add_argument(
+        "--seconds", metavar="N", type=_positive, help="cut or extend the scenario to N seconds"
+    )
+    parser.add_argument(
+        "--speed",
+        metavar="max|X",
+        type=_speed,
+        default=1.0,
+        help="X times real time, or as fast as the bus takes it (default: 1)",
+    )
+    parser.add_argument(
+        "--config-out",
+        metavar="DIR",
+        type=Path,
+        help="write the bridge configuration and the calibration file of this bench there first",
+    )
+    return parser
+
+
+def run(args: argparse.Namespace) -> int:
+    """Send until the scenario ends or somebody stops it, then say what was sent."""
+    try:
+        bench = Bench(args.scenario, seed=args.seed, seconds=args.seconds)
+    except scenario.ScenarioError as error:
+        raise ConfigError(str(error)) from error
+    if args.config_out is not None:
+        _write_files(bench, args.config_out, args.interface, args.channel)
+    bench.prepare()
+    sent = Sent({})
+    with ExitStack() as stack:
+        buses = {name: stack.enter_context(_open(bench, name, args)) for name in bench.channels}
+        where = ", ".join(sorted({_channel(bench, name, args) for name in bench.channels}))
+        print(f"{bench.scenario.title}: {bench.seconds:g} s on {args.interface} {where}", flush=True)
+        before = signal.signal(signal.SIGTERM, _terminate)
+        begin_ns = time.monotonic_ns()
+        try:
+            late_ns = _pace(bench, buses, args.speed, begin_ns, sent)
+            stopped = ""
+        except KeyboardInterrupt as error:
+            late_ns, stopped = int(error.args[0]) if error.args else 0, "stopped: "
+        except can.CanError as error:
+            raise SourceError(f"{args.interface} {where}: cannot send: {error}") from error
+        finally:
+            signal.signal(signal.SIGTERM, before)
+    seconds = (time.monotonic_ns() - begin_ns) * 1e-9
+    total = sum(sent.frames.values())
+    line = f"{stopped}{total} frames sent in {seconds:.1f} s, send buffer full {sent.full} times"
+    if math.isfinite(args.speed):
+        line += f", worst lateness {late_ns * 1e-6:.1f} ms"
+    print(line)
+    return 0
+
+
+def _pace(bench: Bench, buses: dict[str, can.BusABC], speed: float, begin_ns: int, sent: Sent) -> int:
+    """Send every frame at its own time after ``begin_ns``; returns the worst lateness in ns."""
+    worst = 0
+    try:
+        while (due_ns := bench.next_ns) is not None and due_ns <= bench.end_ns:
+            if not math.isfinite(speed):
+                bench.send_due(buses, due_ns, sent)
+                continue
+            # each deadline is counted from the beginning, so lateness never adds up
+            deadline_ns = begin_ns + round(due_ns / speed)
+            now_ns = time.monotonic_ns()
+            if now_ns < deadline_ns:
+                time.sleep((deadline_ns - now_ns) * 1e-9)
+                now_ns = time.monotonic_ns()
+            worst = max(worst, now_ns - deadline_ns)
+            bench.send_due(buses, min(round((now_ns - begin_ns) * speed), bench.end_ns), sent)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(worst) from None
+    return worst
+
+
+def _open(bench: Bench, name: str, args: argparse.Namespace) -> can.BusABC:
+    channel = _channel(bench, name, args)
+    options: dict[str, Any] = {"fd": True} if bench.scenario.imu.fd else {}
+    try:
+        return can.Bus(interface=args.interface, channel=channel, **options)
+    except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+        raise SourceError(
+            f"{args.interface} {channel}: cannot be opened ({error}); "
+            "check --interface and --channel, and that the bus is up"
+        ) from error
+
+
+def _channel(bench: Bench, name: str, args: argparse.Namespace) -> str:
+    """The real channel of one of the scenario's: the one asked for, unless there are several."""
+    return bench.wiring(args.interface, args.channel).buses[name]
+
+
+def _write_files(bench: Bench, folder: Path, interface: str, channel: str) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in bench.files(interface, channel).items():
+            (folder / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--config-out {folder}: cannot be written: {error.strerror}") from error
+
+
+def _terminate(_number: int, _frame: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text}: expected 0 or more")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number of seconds above 0")
+    return value
+
+
+def _speed(text: str) -> float:
+    if text == "max":
+        return math.inf
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text}: expected max or a number above 0")
+    return value
