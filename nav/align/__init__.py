@@ -9,6 +9,7 @@ from typing import Final
 
 from nav.align.level import LEVEL
 from nav.align.match import MATCH
+from nav.align.static import COARSE, FINE
 from nav.align.types import (
     AlignConfig,
     Alignment,
@@ -21,6 +22,7 @@ from nav.align.types import (
 )
 
 ALIGNMENTS: Final[dict[str, Alignment]] = {
+    "static": Alignment(needs=frozenset(), stages=(COARSE, FINE)),
     "motion": Alignment(needs=frozenset({"gnss"}), stages=(LEVEL, MATCH)),
 }
 

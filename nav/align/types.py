@@ -71,11 +71,12 @@ class AlignConfig:
     ``gyro_bias`` rad/s, ``accel_bias`` m/s^2: standard deviation of the constant error of one sensor that
     is left after compensation; ``angle_random_walk`` rad/sqrt(s), ``velocity_random_walk`` m/s/sqrt(s).
     ``coarse_s``, ``fine_s``: durations of a static alignment. ``position`` (lat rad, lon rad, height m)
-    replaces a GNSS position where given. ``gnss_lever_arm`` (3,) m from IMU to antenna in b. ``C_vb``
-    (3, 3) is the mounting where known; None has it estimated. ``sigma_heading`` rad ends an alignment in
-    motion, ``window_s`` bounds the motion it looks at, ``rest_s`` is the standstill it takes for levelling
-    when the vehicle grants it. ``slope`` rad: standard deviation of the ground's inclination where the
-    vehicle stands at first.
+    replaces a GNSS position where given, and is good to ``sigma_position`` m. ``sway`` m/s: rms velocity of
+    a standing vehicle with its engine and the wind. ``gnss_lever_arm`` (3,) m from IMU to antenna in b.
+    ``C_vb`` (3, 3) is the mounting where known; None has it estimated. ``sigma_heading`` rad ends an
+    alignment in motion, ``window_s`` bounds the motion it looks at, ``rest_s`` is the standstill it takes
+    for levelling when the vehicle grants it. ``slope`` rad: standard deviation of the ground's inclination
+    where the vehicle stands at first.
     """
 
     gyro_bias: float
@@ -85,6 +86,8 @@ class AlignConfig:
     coarse_s: float = 60.0
     fine_s: float = 240.0
     position: tuple[float, float, float] | None = None
+    sigma_position: float = 10.0
+    sway: float = 0.003
     gnss_lever_arm: Vector = field(default_factory=lambda: np.zeros(3))
     C_vb: Vector | None = None
     sigma_heading: float = math.radians(2.0)

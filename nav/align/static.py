@@ -1,0 +1,339 @@
+"""Static alignment: heading from Earth rate, for gyros that can see it.
+
+Two stages. The coarse one averages and constructs the attitude from gravity and Earth rate, "Inertial
+navigation", section 2.4.2 (analytic coarse alignment; the triad is orthonormal by construction). The
+fine one is a Kalman filter of velocity, misalignment and sensor biases that observes zero velocity.
+
+What neither can beat, "Inertial navigation", eq. (2-104), strapdown sign of the gyro error: phi_E =
+-nabla_N/g, phi_N = nabla_E/g, phi_U = -eps_E/w_N + tan(L) nabla_E/g. The coarse stage's covariance
+holds these with their cross terms, so that the fine stage knows that it cannot tell the two apart.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from nav.align import still as watch
+from nav.align.fit import skew
+from nav.align.preintegrate import DT
+from nav.align.still import Still
+from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
+from nav.earth import EARTH_RATE, earth_rate_g, gravity_g, normal_gravity, radii
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec
+from nav.types import ImuSample, Sample, Vector
+
+SIGMAS: Final = 6.0
+BLIND: Final = 0.3  # of the horizontal Earth rate: gyros worse than this cannot find heading
+PATIENCE_S: Final = 60.0  # seconds to wait for a position after the coarse stage
+_ZERO: Final = np.zeros(3)
+_VEL, _PHI, _EPS, _NAB = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+
+
+def limits(config: AlignConfig, lat: float, height: float, seconds: float) -> Vector:
+    """Standard deviations (3,), rad about east, north, up, that a static alignment cannot beat.
+
+    Of sensors as in ``config`` at latitude ``lat`` (rad), in ``seconds``: constant biases, eq. (2-104), the
+    angle random walk as a mean rate over the time, and the accelerometers' noise, which hides the level (as
+    a mean) and its rate of change (as the slope of a straight line: variance 12 q / T^3).
+    """
+    g = normal_gravity(math.sin(lat), height)
+    north = EARTH_RATE * math.cos(lat)
+    vrw, arw = config.velocity_random_walk / g, config.angle_random_walk
+    level2 = (config.accel_bias / g) ** 2 + vrw**2 / seconds
+    rate2 = config.gyro_bias**2 + arw**2 / seconds + 12.0 * vrw**2 / seconds**3
+    azimuth = math.sqrt(rate2 / north**2 + math.tan(lat) ** 2 * level2)
+    return np.array([math.sqrt(level2), math.sqrt(level2), azimuth])
+
+
+@dataclass(frozen=True, slots=True)
+class Coarse:
+    """State of the coarse stage."""
+
+    config: AlignConfig
+    still: Still = field(default_factory=Still)
+
+
+def coarse_init(config: AlignConfig, given: NavInit | None) -> Coarse:
+    """Begin with nothing known."""
+    return Coarse(config)
+
+
+def coarse_step(state: Coarse, sample: Sample) -> tuple[Coarse, AlignStatus]:
+    """Average inertial samples while nothing moves."""
+    config = state.config
+    if isinstance(sample, ImuSample):
+        reason = watch.fault(sample)
+        still = watch.add(state.still, sample, _ZERO, _ZERO)
+        if reason is None and watch.full(still):
+            still, reason = watch.close(still, config)
+    else:
+        still, reason = watch.aid(state.still, sample)
+    state = replace(state, still=still)
+    place = _place(config, still)
+    ready = still.seconds >= config.coarse_s - 0.5 * watch.BLOCK_S and float(still.piece[DT]) == 0.0
+    if reason is None and ready:
+        if place is not None:
+            reason = _implausible(config, still, place[0])
+        elif still.seconds > config.coarse_s + PATIENCE_S:
+            reason = "no position: no GNSS fix came and the configuration gives none"
+    lat, height = (place[0], place[2]) if place is not None else (0.8, 0.0)
+    status = AlignStatus(
+        estimate=None,
+        covariance=np.diag([1.0, 1.0, math.pi**2]),
+        limit=limits(config, lat, height, config.coarse_s + config.fine_s),
+        progress=min(1.0, still.seconds / config.coarse_s),
+        done=ready and place is not None and reason is None,
+        refusal=None if reason is None else f"static alignment starts again: {reason}",
+    )
+    return state, status
+
+
+def _place(config: AlignConfig, still: Still) -> tuple[float, float, float] | None:
+    if config.position is not None:
+        return config.position
+    if still.fixes == 0:
+        return None
+    return float(still.place[0]), float(still.place[1]), float(still.place[2])
+
+
+def _implausible(config: AlignConfig, still: Still, lat: float) -> str | None:
+    """What contradicts a standing IMU on the turning Earth, or None."""
+    north, up = EARTH_RATE * math.cos(lat), EARTH_RATE * math.sin(lat)
+    sigma = math.hypot(config.gyro_bias, config.angle_random_walk / math.sqrt(still.seconds))
+    if sigma > BLIND * north:
+        return (
+            f"gyros good to {math.degrees(sigma) * 3600:.1f} deg/h cannot find heading in an Earth rate of "
+            f"{math.degrees(north) * 3600:.1f} deg/h; align in motion"
+        )
+    seen = float(still.rate @ still.force / np.linalg.norm(still.force))
+    slack = SIGMAS * sigma + 2.0 * north * config.accel_bias / 9.8
+    if abs(seen - up) > slack:
+        return (
+            f"the vertical rate is {math.degrees(seen) * 3600:.2f} deg/h where Earth's is "
+            f"{math.degrees(up) * 3600:.2f}: the vehicle turns, or calibration or latitude are wrong"
+        )
+    return None
+
+
+def triad(force: Vector, rate: Vector, lat: float, height: float) -> Vector:
+    """C_gb (3, 3) of a standing IMU from its mean specific force (3,) and rate (3,), of any scale.
+
+    The same three orthonormal vectors are built from gravity and Earth rate in g and from the sensors in b;
+    gravity counts fully, Earth rate only by its direction about it. So gyro noise does not reach the level.
+    """
+    in_b = _orthonormal(force, rate)
+    in_g = _orthonormal(-gravity_g(lat, height), earth_rate_g(lat))
+    return in_g.T @ in_b
+
+
+def _orthonormal(first: Vector, second: Vector) -> Vector:
+    """Rows: across both, in their plane, along ``first``."""
+    up = first / np.linalg.norm(first)
+    east = np.cross(second, up)
+    east /= np.linalg.norm(east)
+    return np.stack([east, np.cross(up, east), up])
+
+
+def coarse_covariance(config: AlignConfig, C_gb: Vector, lat: float, height: float, seconds: float) -> Vector:
+    """Covariance (12, 12) of velocity, phi, gyro bias, accelerometer bias after the coarse stage.
+
+    Errors are true minus estimate. Eq. (2-104) with the strapdown sign, the biases in b.
+    """
+    g, north = normal_gravity(math.sin(lat), height), EARTH_RATE * math.cos(lat)
+    by_rate = np.zeros((3, 3))
+    by_rate[2, 0] = -1.0 / north
+    by_force = np.zeros((3, 3))
+    by_force[0, 1], by_force[1, 0], by_force[2, 0] = -1.0 / g, 1.0 / g, math.tan(lat) / g
+    eps2, nab2 = config.gyro_bias**2, config.accel_bias**2
+    P = np.zeros((12, 12))
+    P[_VEL, _VEL] = np.eye(3) * config.sway**2
+    P[_PHI, _PHI] = by_rate @ by_rate.T * (eps2 + config.angle_random_walk**2 / seconds)
+    P[_PHI, _PHI] += by_force @ by_force.T * (nab2 + config.velocity_random_walk**2 / seconds)
+    P[_PHI, _PHI] += np.eye(3) * 1e-14
+    P[_PHI, _EPS] = by_rate @ C_gb * eps2
+    P[_PHI, _NAB] = by_force @ C_gb * nab2
+    P[_EPS, _PHI], P[_NAB, _PHI] = P[_PHI, _EPS].T, P[_PHI, _NAB].T
+    P[_EPS, _EPS], P[_NAB, _NAB] = np.eye(3) * eps2, np.eye(3) * nab2
+    return P
+
+
+def coarse_finish(state: Coarse) -> NavInit:
+    """Attitude by `triad`."""
+    config, still = state.config, state.still
+    place = _place(config, still)
+    assert place is not None
+    C = triad(still.force, still.rate, place[0], place[2])
+    P = coarse_covariance(config, C, place[0], place[2], still.seconds)
+    sigma_p = np.full(3, config.sigma_position) if config.position is not None else still.sigma_place
+    return _nav_init(config, still.t_ns, place, sigma_p, C, np.zeros(12), P)
+
+
+def _nav_init(
+    config: AlignConfig,
+    t_ns: int,
+    place: tuple[float, float, float],
+    sigma_p: Vector,
+    C: Vector,
+    x: Vector,
+    P12: Vector,
+) -> NavInit:
+    P = np.zeros((15, 15))
+    P[0:3, 0:3] = np.diag(sigma_p**2)
+    P[3:15, 3:15] = P12
+    sigma = np.sqrt(np.diag(P))
+    return NavInit(
+        t_ns=t_ns,
+        lat=place[0],
+        lon=place[1],
+        height=place[2],
+        v_g=np.zeros(3),
+        q_gb=quat_from_dcm(C),
+        P_phi=P[6:9, 6:9].copy(),
+        sigma_v=sigma[3:6],
+        sigma_p=sigma[0:3],
+        gyro_bias=x[_EPS].copy(),
+        accel_bias=x[_NAB].copy(),
+        sigma_gyro_bias=sigma[9:12],
+        sigma_accel_bias=sigma[12:15],
+        C_vb=config.C_vb,
+        sigma_mounting=None if config.C_vb is None else np.zeros(3),
+        P=P,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Fine:
+    """State of the fine stage: attitude, velocity, biases and their covariance, and the watch."""
+
+    config: AlignConfig
+    given: NavInit
+    still: Still
+    C: Vector  # C_gb
+    x: Vector  # (12,): velocity, nothing, gyro bias, accelerometer bias
+    P: Vector  # (12, 12) of velocity, phi, gyro bias, accelerometer bias
+    status: AlignStatus
+    seconds: float = 0.0
+
+
+def fine_init(config: AlignConfig, given: NavInit | None) -> Fine:
+    """Begin from the coarse stage's attitude and covariance."""
+    assert given is not None
+    assert given.P is not None
+    P = given.P[3:15, 3:15].copy()
+    C = dcm_from_quat(given.q_gb)
+    status = AlignStatus(given.q_gb, given.P_phi, _limits(config, given), 0.0, False)
+    return Fine(config, given, Still(), C, np.zeros(12), P, status)
+
+
+def _limits(config: AlignConfig, given: NavInit) -> Vector:
+    return limits(config, given.lat, given.height, config.coarse_s + config.fine_s)
+
+
+def fine_step(state: Fine, sample: Sample) -> tuple[Fine, AlignStatus]:
+    """Propagate with every sample, observe zero velocity with every block."""
+    if isinstance(sample, ImuSample):
+        reason = watch.fault(sample)
+        still = watch.add(state.still, sample, state.x[_EPS], state.x[_NAB])
+        state = replace(state, still=still)
+        if reason is None and watch.full(still):
+            state, reason = _update(state)
+    else:
+        still, reason = watch.aid(state.still, sample)
+        state = replace(state, still=still)
+    if reason is not None:
+        refusal = f"static alignment starts again: {reason}"
+        return state, replace(state.status, done=False, refusal=refusal)
+    return state, state.status
+
+
+def _update(state: Fine) -> tuple[Fine, str | None]:
+    """One block: strapdown, prediction, zero velocity, feedback."""
+    config, given = state.config, state.given
+    rotation, dv, _, dt = watch.block(state.still)
+    still, reason = watch.close(state.still, config)
+    g, w_ie = gravity_g(given.lat, given.height), earth_rate_g(given.lat)
+    f_g = state.C @ dv / dt
+    v = state.x[_VEL] + state.C @ dv + g * dt + 0.5 * dt**2 * np.cross(w_ie, g)
+    C = dcm_from_quat(quat_from_rotvec(-w_ie * dt)) @ state.C @ rotation
+
+    kalman = KalmanFilter(dim_x=12, dim_z=3)
+    kalman.P = state.P
+    kalman.F, kalman.Q = _transition(config, state.C, f_g, w_ie, dt)
+    kalman.H = np.zeros((3, 12))
+    kalman.H[:, _VEL] = np.eye(3)
+    kalman.R = np.eye(3) * config.sway**2
+    kalman.predict()
+    kalman.update(-v.reshape(3, 1))
+    S = np.asarray(kalman.S, dtype=np.float64)
+    nis = float(v @ np.linalg.solve(S, v))
+    speed = float(np.linalg.norm(v))
+    if reason is None and nis > SIGMAS**2 and speed > watch.PUSHED:
+        reason = f"the vehicle moves: {speed:.2f} m/s against a standstill"
+    if reason is not None:
+        return replace(state, still=still), reason
+    error = np.asarray(kalman.x, dtype=np.float64).ravel()
+    P = np.asarray(kalman.P, dtype=np.float64)
+    x = state.x + error
+    x[_VEL] = v + error[_VEL]
+    x[_PHI] = 0.0
+    C = dcm_from_quat(quat_from_rotvec(error[_PHI])) @ C
+    seconds = state.seconds + dt
+    status = AlignStatus(
+        estimate=quat_from_dcm(C),
+        covariance=P[_PHI, _PHI],
+        limit=state.status.limit,
+        progress=min(1.0, seconds / config.fine_s),
+        done=seconds >= config.fine_s - 0.5 * watch.BLOCK_S,
+    )
+    return replace(state, still=still, C=C, x=x, P=0.5 * (P + P.T), seconds=seconds, status=status), None
+
+
+def _transition(
+    config: AlignConfig, C: Vector, f_g: Vector, w_ie: Vector, dt: float
+) -> tuple[Vector, Vector]:
+    """Transition and noise of the errors at standstill, both (12, 12).
+
+    The phi-angle equations without motion, "Inertial navigation", eqs. (2-84), (2-88), biases true minus
+    estimate: dv' = phi x f - C nabla, phi' = -w_ie x phi - C eps.
+    """
+    F = np.zeros((12, 12))
+    F[_VEL, _VEL] = -2.0 * skew(w_ie[None])[0]
+    F[_VEL, _PHI] = -skew(f_g[None])[0]
+    F[_VEL, _NAB] = -C
+    F[_PHI, _PHI] = -skew(w_ie[None])[0]
+    F[_PHI, _EPS] = -C
+    A = F * dt
+    transition = np.eye(12) + A + 0.5 * A @ A
+    noise = np.zeros(12)
+    noise[_VEL] = config.velocity_random_walk**2
+    noise[_PHI] = config.angle_random_walk**2
+    # trapezoid over the interval: the tilt that walks within it moves the velocity
+    Q = 0.5 * dt * (np.diag(noise) + transition @ np.diag(noise) @ transition.T)
+    return transition, Q
+
+
+def fine_finish(state: Fine) -> NavInit:
+    """Attitude, biases and their covariance at the last closed block."""
+    config, given, still = state.config, state.given, state.still
+    lat, lon, height = given.lat, given.lon, given.height
+    sigma_p = given.sigma_p
+    if config.position is None:
+        if still.fixes:
+            lat, lon, height = (float(value) for value in still.place)
+            sigma_p = still.sigma_place
+        l_g = state.C @ config.gnss_lever_arm
+        r_m, r_n = radii(math.sin(lat))
+        lon -= float(l_g[0]) / ((r_n + height) * math.cos(lat))
+        lat -= float(l_g[1]) / (r_m + height)
+        height -= float(l_g[2])
+    # the block just closed ends at the last sample
+    return _nav_init(config, still.t_ns, (lat, lon, height), sigma_p, state.C, state.x, state.P)
+
+
+COARSE: Final = Stage(init=coarse_init, step=coarse_step, finish=coarse_finish)
+FINE: Final = Stage(init=fine_init, step=fine_step, finish=fine_finish)

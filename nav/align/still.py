@@ -1,0 +1,128 @@
+"""Watching that a vehicle which should stand still does: blocks of inertial samples, odometer, GNSS."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from nav.align.level import gnss_speed
+from nav.align.preintegrate import DT, SIZE, P, R, V, empty, extend, sample_piece
+from nav.align.types import AlignConfig
+from nav.types import GnssFix, ImuFlag, ImuSample, OdoSample, SpeedSample, Vector
+
+BLOCK_S: Final = 1.0
+TURNED: Final = math.radians(0.05)  # rad within a block
+PUSHED: Final = 0.05  # m/s within a block
+DROVE: Final = 0.5  # m/s by GNSS
+ROLLED: Final = 0.02  # m by the odometer within one sample, or m/s of speed
+SIGMAS: Final = 6.0
+_ZERO: Final = np.zeros(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Still:
+    """The open block, the means of the closed ones, and where GNSS says the antenna is."""
+
+    piece: Vector = field(default_factory=empty)  # of the open block
+    turned: Vector = field(default_factory=lambda: np.zeros(3))  # sum of angle increments of the block
+    pushed: Vector = field(default_factory=lambda: np.zeros(3))
+    rate: Vector = field(default_factory=lambda: np.zeros(3))  # means over the closed blocks, b
+    force: Vector = field(default_factory=lambda: np.zeros(3))
+    seconds: float = 0.0
+    t_ns: int = 0
+    place: Vector = field(default_factory=lambda: np.zeros(3))  # mean: lat rad, lon rad, height m
+    sigma_place: Vector = field(default_factory=lambda: np.full(3, math.inf))
+    fixes: int = 0
+    anchor: GnssFix | None = None
+
+
+def add(still: Still, sample: ImuSample, gyro_bias: Vector, accel_bias: Vector) -> Still:
+    """Add an inertial sample to the open block."""
+    piece, total = np.empty(SIZE), still.piece.copy()
+    sample_piece(sample.dtheta, sample.dv, sample.dt, gyro_bias, accel_bias, piece)
+    extend(total, piece, _ZERO, _ZERO)
+    return replace(
+        still,
+        piece=total,
+        turned=still.turned + sample.dtheta,
+        pushed=still.pushed + sample.dv,
+        t_ns=sample.t_ns,
+    )
+
+
+def full(still: Still) -> bool:
+    """Whether the open block has its length."""
+    return float(still.piece[DT]) >= BLOCK_S - 1e-6
+
+
+def close(still: Still, config: AlignConfig) -> tuple[Still, str | None]:
+    """Close the block: the new state, and what moved, if it moved.
+
+    A block is compared with the mean of those before it: a net turn or push of the vehicle shows, engine
+    and wind average out.
+    """
+    dt = float(still.piece[DT])
+    reason = None
+    if still.seconds > 0.0:
+        turn = float(np.linalg.norm(still.turned - still.rate * dt))
+        push = float(np.linalg.norm(still.pushed - still.force * dt))
+        spread = math.sqrt(dt * (1.0 + dt / still.seconds))
+        if turn > max(TURNED, SIGMAS * config.angle_random_walk * spread):
+            reason = f"the vehicle turned by {math.degrees(turn):.2f} deg in {dt:.1f} s"
+        elif push > max(PUSHED, SIGMAS * config.velocity_random_walk * spread):
+            reason = f"the vehicle was pushed: its velocity changed by {push:.2f} m/s in {dt:.1f} s"
+    seconds = still.seconds + dt
+    still = replace(
+        still,
+        piece=empty(),
+        turned=np.zeros(3),
+        pushed=np.zeros(3),
+        rate=still.rate + (still.turned - still.rate * dt) / seconds,
+        force=still.force + (still.pushed - still.force * dt) / seconds,
+        seconds=seconds,
+    )
+    return still, reason
+
+
+def fault(sample: ImuSample) -> str | None:
+    """Why an inertial sample ends a static alignment, or None."""
+    if sample.flags & ImuFlag.GAP:
+        return "inertial samples are missing"
+    if sample.flags & ImuFlag.SATURATED:
+        return "an inertial sensor is saturated"
+    return None
+
+
+def aid(still: Still, sample: object) -> tuple[Still, str | None]:
+    """Take an odometer, speed or GNSS sample: mean position, and what moved, if it moved."""
+    if isinstance(sample, OdoSample) and abs(sample.distance) > ROLLED:
+        return still, f"the odometer rolls: {sample.distance:.2f} m in {sample.dt:.2f} s"
+    if isinstance(sample, SpeedSample) and abs(sample.speed) > ROLLED + SIGMAS * sample.sigma:
+        return still, f"the vehicle drives: {sample.speed:.2f} m/s"
+    if not isinstance(sample, GnssFix):
+        return still, None
+    speed, anchor = gnss_speed(sample, still.anchor)
+    sigma_p = np.asarray(sample.sigma_position, dtype=np.float64)
+    claimed = sample.sigma_velocity
+    sigma = float(np.max(sigma_p)) if claimed is None else float(np.max(claimed))
+    if speed is not None and speed > DROVE + SIGMAS * sigma:
+        return replace(still, anchor=anchor), f"the vehicle drives: {speed:.1f} m/s by GNSS"
+    place = np.array([sample.lat, sample.lon, sample.height])
+    n = still.fixes + 1
+    # errors of a standing receiver are alike from fix to fix: the mean is no better than a third of one
+    return replace(
+        still,
+        anchor=anchor,
+        place=still.place + (place - still.place) / n,
+        sigma_place=sigma_p * max(1.0 / math.sqrt(n), 1.0 / 3.0),
+        fixes=n,
+    ), None
+
+
+def block(still: Still) -> tuple[Vector, Vector, Vector, float]:
+    """Rotation (3, 3), velocity (3,), displacement (3,) in b at the block's start, and its seconds."""
+    p = still.piece
+    return p[R].reshape(3, 3), p[V], p[P], float(p[DT])

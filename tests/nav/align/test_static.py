@@ -1,0 +1,239 @@
+"""Static alignment against closed forms: a body fixed to the turning Earth senses constant rate and force."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from nav.align import ALIGNMENTS, AlignConfig, advance, begin, result
+from nav.align.static import limits, triad
+from nav.earth import earth_rate_g, gravity_g
+from nav.rotation import dcm_from_euler, dcm_from_quat, quat_from_dcm, rotvec_from_quat
+from nav.types import FixType, GnssFix, ImuFlag, ImuSample, OdoSample
+
+DEG_PER_H = math.pi / 648000.0
+G = 9.80665
+LAT, LON, HEIGHT = math.radians(34.18), math.radians(108.9), 400.0
+DT = 0.1
+
+# navigation grade: 0.007 deg/h, 0.0005 deg/sqrt(h), 50 ug, 10 ug/sqrt(Hz)
+GRADE = AlignConfig(
+    gyro_bias=0.007 * DEG_PER_H,
+    accel_bias=5e-5 * G,
+    angle_random_walk=math.radians(0.0005) / 60.0,
+    velocity_random_walk=1e-5 * G,
+    coarse_s=60.0,
+    fine_s=240.0,
+    position=(LAT, LON, HEIGHT),
+)
+
+
+def standing(seed, config=GRADE, seconds=300.0, attitude=(None, None, None)):
+    """True C_gb, true biases and the samples of a standing IMU."""
+    rng = np.random.default_rng(seed)
+    heading = rng.uniform(0.0, 2.0 * math.pi) if attitude[0] is None else attitude[0]
+    pitch, roll = rng.uniform(-0.3, 0.3, 2) if attitude[1] is None else attitude[1:]
+    C_gb = dcm_from_euler(heading, pitch, roll)
+    eps, nabla = config.gyro_bias * rng.standard_normal(3), config.accel_bias * rng.standard_normal(3)
+    n = round(seconds / DT)
+    root = math.sqrt(DT)
+    rate = C_gb.T @ earth_rate_g(LAT) + eps
+    force = C_gb.T @ -gravity_g(LAT, HEIGHT) + nabla
+    dtheta = rate * DT + config.angle_random_walk * root * rng.standard_normal((n, 3))
+    dv = force * DT + config.velocity_random_walk * root * rng.standard_normal((n, 3))
+    step = round(DT * 1e9)
+    samples = [ImuSample((k + 1) * step, DT, dtheta[k], dv[k], "imu") for k in range(n)]
+    return C_gb, eps, nabla, samples
+
+
+def align(samples, config=GRADE):
+    run = begin(ALIGNMENTS["static"], config)
+    refusals = []
+    status = None
+    for sample in samples:
+        run, status = advance(run, sample)
+        if status.refusal:
+            refusals.append(status.refusal)
+        if status.done:
+            return result(run), status, refusals
+    return None, status, refusals
+
+
+def misalignment(C_gb, init):
+    """phi with true C_gb = (I + [phi x]) estimated C_gb."""
+    return rotvec_from_quat(quat_from_dcm(C_gb @ dcm_from_quat(init.q_gb).T))
+
+
+def test_error_free_sensors_give_the_attitude_in_any_orientation():
+    perfect = dataclasses.replace(GRADE, gyro_bias=1e-9, accel_bias=1e-6)
+    for heading, pitch, roll in [(0.3, 0.1, -0.2), (3.0, -1.2, 2.5), (5.5, 0.0, math.pi / 2)]:
+        C_gb = dcm_from_euler(heading, pitch, roll)
+        step = round(DT * 1e9)
+        dtheta, dv = C_gb.T @ earth_rate_g(LAT) * DT, C_gb.T @ -gravity_g(LAT, HEIGHT) * DT
+        samples = [ImuSample((k + 1) * step, DT, dtheta, dv, "imu") for k in range(3000)]
+        init, _, refusals = align(samples, perfect)
+        assert not refusals
+        # second-order terms of a block (w t)^2 g t against a filter that looks 300 s long: below 1e-7 rad of
+        # tilt, and that over w_N t of azimuth
+        assert np.max(np.abs(misalignment(C_gb, init))) < 5e-6
+
+
+def test_five_minutes_reach_the_limit_and_sigma_agrees_with_the_spread():
+    seeds = 30
+    phi, nees, sigma = np.zeros((seeds, 3)), np.zeros(seeds), np.zeros((seeds, 3))
+    bias_nees = np.zeros(seeds)
+    for seed in range(seeds):
+        C_gb, eps, nabla, samples = standing(seed)
+        init, status, refusals = align(samples)
+        assert not refusals
+        phi[seed] = misalignment(C_gb, init)
+        sigma[seed] = np.sqrt(np.diag(init.P_phi))
+        nees[seed] = phi[seed] @ np.linalg.solve(init.P_phi, phi[seed])
+        error = np.concatenate([phi[seed], eps - init.gyro_bias, nabla - init.accel_bias])
+        P = init.P[6:15, 6:15]
+        bias_nees[seed] = error @ np.linalg.solve(P, error)
+    limit = status.limit
+    rms = np.sqrt(np.mean(phi**2, axis=0))
+    # a bias of 0.007 deg/h is 0.032 deg of heading at 34 deg
+    assert limit[2] == pytest.approx(math.radians(0.033), rel=0.05)
+    assert np.all(rms < 1.2 * limit)
+    assert np.all(np.mean(sigma, axis=0) < 1.05 * limit)
+    # mean of 30 chi-square values: 95 % within 3 -+ 0.88, 9 -+ 1.5
+    assert abs(np.mean(nees) - 3.0) < 0.9
+    assert abs(np.mean(bias_nees) - 9.0) < 1.6
+    # no direction preferred: mean within three of its standard deviations
+    assert np.all(np.abs(np.mean(phi, axis=0)) < 3.0 * limit / math.sqrt(seeds))
+
+
+def test_limit_is_equation_2_104():
+    config = dataclasses.replace(GRADE, angle_random_walk=0.0, velocity_random_walk=0.0, accel_bias=0.0)
+    # 0.01 deg/h at 45 deg: 0.9402 mrad
+    config = dataclasses.replace(config, gyro_bias=0.01 * DEG_PER_H)
+    assert limits(config, math.pi / 4, 0.0, 900.0)[2] == pytest.approx(0.9402e-3, rel=1e-4)
+    # and 0.005 deg/sqrt(h) over 15 min is the same
+    config = dataclasses.replace(config, gyro_bias=0.0, angle_random_walk=math.radians(0.005) / 60.0)
+    assert limits(config, math.pi / 4, 0.0, 900.0)[2] == pytest.approx(0.9402e-3, rel=1e-4)
+
+
+def test_signs_of_equation_2_104():
+    """East gyro bias and level accelerometer biases, IMU axes east-north-up."""
+    eps, nab = 0.01 * DEG_PER_H, 1e-4 * G
+    north = earth_rate_g(LAT)[1]
+    g = -gravity_g(LAT, HEIGHT)[2]
+    rate, force = earth_rate_g(LAT), -gravity_g(LAT, HEIGHT)
+    for d_rate, d_force, phi in [
+        ([eps, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, -eps / north]),
+        ([0.0, 0.0, 0.0], [nab, 0.0, 0.0], [0.0, nab / g, math.tan(LAT) * nab / g]),
+        ([0.0, 0.0, 0.0], [0.0, nab, 0.0], [-nab / g, 0.0, 0.0]),
+    ]:
+        C = triad(force + d_force, rate + d_rate, LAT, HEIGHT)
+        found = rotvec_from_quat(quat_from_dcm(C.T))  # truth is the unit matrix
+        # second order in the tilt: 1e-4 of it
+        np.testing.assert_allclose(found, phi, atol=2e-4 * np.max(np.abs(phi)))
+
+
+def fix(t_s, *, lat=LAT, v=0.0, sigma=1.0):
+    return GnssFix(
+        t_ns=round(t_s * 1e9),
+        lat=lat,
+        lon=LON,
+        height=HEIGHT,
+        sigma_position=np.full(3, sigma),
+        v_g=np.array([0.0, v, 0.0]),
+        sigma_velocity=np.full(3, 0.05),
+        fix_type=FixType.FIX_3D,
+        device="gnss",
+    )
+
+
+QUICK = dataclasses.replace(GRADE, coarse_s=20.0, fine_s=40.0)
+
+
+def test_position_comes_from_gnss_and_the_lever_arm_is_taken_off():
+    config = dataclasses.replace(QUICK, position=None, gnss_lever_arm=np.array([0.0, 10.0, 2.0]))
+    _, _, _, samples = standing(3, config, 61.0, (0.0, 0.0, 0.0))
+    mixed = []
+    for k, sample in enumerate(samples):
+        mixed.append(sample)
+        if k % 10 == 9:
+            mixed.append(fix(sample.t_ns * 1e-9))
+    init, _, refusals = align(mixed, config)
+    assert not refusals
+    # heading north: the IMU lies 10 m south of the antenna and 2 m below
+    assert (LAT - init.lat) * 6.37e6 == pytest.approx(10.0, abs=0.1)
+    assert HEIGHT - init.height == pytest.approx(2.0, abs=1e-3)
+
+
+def test_without_a_position_it_says_so():
+    config = dataclasses.replace(QUICK, position=None)
+    _, _, _, samples = standing(4, config, 90.0)
+    init, _, refusals = align(samples, config)
+    assert init is None
+    assert "no position" in refusals[0]
+
+
+def moved(samples, begin_s, change):
+    out = []
+    for sample in samples:
+        t = sample.t_ns * 1e-9 - begin_s
+        out.append(change(sample, t) if t > 0.0 else sample)
+    return out
+
+
+@pytest.mark.parametrize("begin_s", [10.0, 35.0])  # in the coarse and in the fine stage
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda s, t: dataclasses.replace(s, dtheta=s.dtheta + (1e-3 if t < 0.5 else 0.0)),
+            "turned by",
+        ),
+        (
+            lambda s, t: dataclasses.replace(s, dv=s.dv + (np.array([0.02, 0.0, 0.0]) if t < 0.5 else 0.0)),
+            "pushed",
+        ),
+        (lambda s, t: dataclasses.replace(s, flags=int(ImuFlag.GAP)) if t < 0.15 else s, "missing"),
+    ],
+)
+def test_a_disturbance_is_named_and_the_alignment_starts_again(begin_s, change, words):
+    # after the disturbance there is time for a whole alignment
+    _, _, _, samples = standing(5, QUICK, 130.0)
+    init, _, refusals = align(moved(samples, begin_s, change), QUICK)
+    assert words in refusals[0]
+    assert "starts again" in refusals[0]
+    assert init is not None
+    assert init.t_ns * 1e-9 > begin_s + 59.0
+
+
+def test_wheels_and_gnss_tell_of_driving_off():
+    _, _, _, samples = standing(6, QUICK, 30.0)
+    odo = OdoSample(samples[-1].t_ns, 0.1, 0.1, False, "odo")
+    _, _, refusals = align([*samples, odo], QUICK)
+    assert "odometer rolls" in refusals[0]
+    _, _, refusals = align([*samples, fix(30.0, v=3.0)], QUICK)
+    assert "drives: 3.0 m/s by GNSS" in refusals[0]
+
+
+def test_creeping_off_is_seen_by_the_filter():
+    """0.02 m/s^2 passes as noise of a block, but not as a standstill's velocity."""
+    _, _, _, samples = standing(7, QUICK, 60.0)
+    creep = moved(samples, 30.0, lambda s, t: dataclasses.replace(s, dv=s.dv + np.array([0.002, 0.0, 0.0])))
+    _, _, refusals = align(creep, QUICK)
+    assert refusals
+    assert "the vehicle moves" in refusals[0]
+
+
+def test_gyros_that_cannot_see_earth_rate_are_refused():
+    config = dataclasses.replace(QUICK, gyro_bias=10.0 * DEG_PER_H)
+    _, _, _, samples = standing(8, config, 25.0)
+    init, _, refusals = align(samples, config)
+    assert init is None
+    assert "align in motion" in refusals[0]
+
+
+def test_a_wrong_latitude_is_noticed():
+    _, _, _, samples = standing(9, QUICK, 25.0)
+    config = dataclasses.replace(QUICK, position=(math.radians(50.0), LON, HEIGHT))
+    _, _, refusals = align(samples, config)
+    assert "latitude" in refusals[0]
