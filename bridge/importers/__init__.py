@@ -9,7 +9,7 @@ import argparse
 from collections.abc import Callable
 from typing import NamedTuple
 
-from bridge.importers import csv
+from bridge.importers import candump, csv
 from bridge.importers.capture import Imported
 
 __all__ = ["IMPORTERS", "Imported", "Importer"]
@@ -25,4 +25,5 @@ class Importer(NamedTuple):
 
 IMPORTERS: dict[str, Importer] = {
     "csv": Importer(csv.HELP, csv.add_arguments, csv.run),
+    "candump": Importer(candump.HELP, candump.add_arguments, candump.run),
 }
