@@ -31,6 +31,8 @@ LATE: Final = 250e6  # ns after the line: either a very late frame or a counter 
 SETTLED: Final = 100_000_000  # ns of arrivals that must agree on a new offset before it is believed
 AGREE: Final = 20e6  # ns within which they must agree; frames of a late burst do not, they catch up
 
+_NEVER: Final = -(2**62)
+
 
 class DeviceClock:
     """One oscillator: the line from its time to engine time, fed through its `ClockPort` objects.
@@ -196,6 +198,7 @@ class ClockPort:
 
     __slots__ = (
         "_clock",
+        "_good_axis",
         "_last_axis",
         "_latency",
         "_modulus",
@@ -203,6 +206,7 @@ class ClockPort:
         "_odd_residual",
         "_odd_since",
         "_out",
+        "_resets",
         "elapsed_ns",
     )
 
@@ -210,8 +214,10 @@ class ClockPort:
         self._clock = clock
         self._modulus = modulus_ns
         self._latency = latency_ns
-        self._out = -(2**62)
+        self._out = _NEVER
+        self._resets = 0
         self._last_axis: int | None = None
+        self._good_axis = _NEVER  # of the last count that the line could explain
         self._odd = False
         self._odd_since = 0
         self._odd_residual = 0.0
@@ -227,6 +233,10 @@ class ClockPort:
             self.elapsed_ns = self._last_axis = None
             out = arrival
         else:
+            if self._resets != clock.resets:  # by another counter on this clock
+                self._resets = clock.resets
+                self._last_axis = None
+                self._good_axis = _NEVER
             last = self._last_axis
             self.elapsed_ns = None if last is None else axis - last
             residual = clock.residual(axis, arrival)
@@ -234,7 +244,8 @@ class ClockPort:
                 self._odd = False
                 clock.add(axis, arrival)
                 out = clock.time(axis)
-                self._last_axis = axis
+                if axis > self._good_axis:  # a frame that was overtaken does not set the clock back
+                    self._last_axis = self._good_axis = axis
             else:
                 out = self._outlier(axis, counter_ns, arrival, residual)
         if out <= self._out:
@@ -244,7 +255,7 @@ class ClockPort:
 
     def _outlier(self, axis: int, counter_ns: int, arrival: int, residual: float) -> int:
         clock = self._clock
-        last, self._last_axis = self._last_axis, axis
+        self._last_axis = axis
         if not self._odd or abs(residual - self._odd_residual) > AGREE:
             self._odd = True
             self._odd_since = arrival
@@ -252,9 +263,10 @@ class ClockPort:
         elif arrival - self._odd_since >= SETTLED and clock.defined_by(self._modulus):
             self._odd = False
             clock.resets += 1
+            self._resets = clock.resets
             clock.seed(counter_ns, arrival, self._modulus)
-            self._last_axis = counter_ns
+            self._last_axis = self._good_axis = counter_ns
             return arrival
-        if residual > 0.0 and last is not None and axis > last:
+        if residual > 0.0 and axis > self._good_axis:
             return clock.time(axis)  # a late frame of a clock that goes on
         return arrival

@@ -249,7 +249,7 @@ class ImuCan:
         samples: list[ImuSample] = []
         if steps > 1 and last is not None:
             counters.missing += steps - 1
-            if steps - 1 <= self._bridge and not flags & _GAP:
+            if steps - 1 <= self._bridge and not flags & _GAP and t_ns - last.t_ns >= steps:
                 samples = self._between(last, t_ns, dt, dtheta, dv, steps)
             else:
                 flags |= _GAP
