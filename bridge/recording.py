@@ -24,6 +24,7 @@ from bridge.recording_format import BATCH_BYTES, BATCH_NS, DIGEST, FORMAT_VERSIO
 from bridge.recording_host import environment
 from bridge.recording_viewer import Decimator
 from bridge.recording_writer import ITEM_BYTES, VIEW, Item, OutputFile, WriterThread
+from nav.types import Solution
 
 __all__ = ["Capture", "Recorder"]
 
@@ -64,6 +65,7 @@ class Recorder:
         self._put_bytes = 0  # counted by the loop alone, _done_bytes by the writer alone: no lock
         self._result: dict[str, str] = {}
         self._decimator = Decimator()
+        self._shown: dict[str, Solution] = {}
         self._queue: queue.SimpleQueue[Item | None] = queue.SimpleQueue()
         self._file = OutputFile(self.path, lossless)
         self._worker = WriterThread(self._file, self._queue, utc_offset_ns)
@@ -119,20 +121,26 @@ class Recorder:
 
     def solution(self, out: SolutionOut) -> None:
         """Show a solution to viewers, at most ten a second."""
+        self._shown[out.navigator] = out.solution
         row = self._decimator.row(out.navigator, out.solution)
         if row is not None:
             self._put(VIEW, row[0], row)
 
     def checkpoint(self, checkpoint: Checkpoint) -> None:
-        """Write a link of a digest chain behind the frames that led to it."""
+        """Write a link of a digest chain behind the frames that led to it, with the latest solution.
+
+        The solution lets a replay say how far it is off where the digests differ.
+        """
         self._push_batch()
-        document = {
+        document: dict[str, Any] = {
             "navigator": checkpoint.navigator,
             "index": checkpoint.index,
             "t_ns": checkpoint.t_ns,
             "sha256": checkpoint.sha256,
             "seq": self._last_seq,
         }
+        if (solution := self._shown.get(checkpoint.navigator)) is not None:
+            document["solution"] = {"t_ns": solution.t_ns, "state": solution.state.tolist()}
         self._put(DIGEST, checkpoint.t_ns, document)
 
     def truth(self, t_ns: int, document: dict[str, Any]) -> None:
