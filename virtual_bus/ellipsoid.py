@@ -49,6 +49,14 @@ def normal_gravity(lat: Array, height: Array) -> Array:
     return np.asarray(surface * (1.0 - 2.0 * x * (1.0 + F + m - 2.0 * F * s2) + 3.0 * x * x))
 
 
+def gravity(lat: Array, height: Array) -> tuple[Array, Array]:
+    """North and up components (n,) of normal gravity, m/s^2: above the ellipsoid plumb lines bend.
+
+    Groves 2013, eq. (2.140) for the north component.
+    """
+    return -8.08e-9 * height * np.sin(2.0 * lat), -normal_gravity(lat, height)
+
+
 def to_ecef(lat: Array, lon: Array, height: Array) -> Array:
     """Earth-fixed position (n, 3) m of ``lat``, ``lon`` (n,) rad and ``height`` (n,) m."""
     r_n = A / np.sqrt(1.0 - E2 * np.sin(lat) ** 2)

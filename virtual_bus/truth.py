@@ -321,7 +321,8 @@ class Trajectory:
         v_point_e = _up(C_eg, _up(C_gv, v_v))
         lat_p, lon_p, height_p = ellipsoid.to_geodetic(r_e)
         C_ep = ellipsoid.axes_eg(lat_p, lon_p)
-        gravity_e = -ellipsoid.normal_gravity(lat_p, height_p)[:, None] * C_ep[:, :, 2]
+        g_north, g_up = ellipsoid.gravity(lat_p, height_p)
+        gravity_e = g_north[:, None] * C_ep[:, :, 1] + g_up[:, None] * C_ep[:, :, 2]
         f_v = accel_v + 2.0 * _cross(w_ie_v, v_v) - _down(C_gv, _down(C_eg, gravity_e))
         return Motion(
             lat=lat_p,

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from virtual_bus.manoeuvres import (
+    Accelerate,
+    Brake,
+    Climb,
+    Cruise,
+    Descend,
+    Profile,
+    Static,
+    STurns,
+    Turn,
+)
+from virtual_bus.truth import Trajectory, Vehicle, mounting_matrix, roll_per_accel
+
+LAT, LON, HEIGHT, HEADING = math.radians(48.0), math.radians(11.0), 500.0, 0.7
+
+
+def trajectory_of(manoeuvres, imu=(0.2, 1.5, 0.8), lean=(4.0, 2.0), lat=LAT, mounting=(2.0, -3.0, 10.0)):
+    blends, speed = [], 0.0
+    for manoeuvre in manoeuvres:
+        part = manoeuvre.blends(speed)
+        blends += part
+        speed = round(speed + sum(b.speed for b in part), 9)
+    vehicle = Vehicle(
+        imu=np.array(imu),
+        C_vb=mounting_matrix(*mounting),
+        roll_per_accel=roll_per_accel(lean[0]),
+        pitch_per_accel=roll_per_accel(lean[1]),
+    )
+    return Trajectory(Profile(blends, heading=HEADING), vehicle, lat, LON, HEIGHT)
+
+
+@pytest.fixture(scope="session")
+def ride():
+    """Every manoeuvre there is, forward and in reverse, with a leaning body and a lever arm."""
+    return trajectory_of(
+        [
+            Static(duration_s=5.0),
+            Accelerate(duration_s=8.0, speed_m_s=15.0),
+            Cruise(duration_s=3.3),
+            Turn(duration_s=6.0, angle_deg=90.0),
+            STurns(duration_s=20.0, angle_deg=25.0, count=2),
+            Climb(duration_s=20.0, slope_deg=5.0),
+            Descend(duration_s=12.0, slope_deg=3.0),
+            Brake(duration_s=5.5),
+            Accelerate(duration_s=4.0, speed_m_s=-3.0),
+            Turn(duration_s=8.0, angle_deg=-60.0),
+            Brake(duration_s=3.0),
+        ]
+    )
+
+
+@pytest.fixture(scope="session")
+def rest():
+    """At rest for two hours, the IMU on the axle and its axes along the vehicle's."""
+    return trajectory_of([Static(duration_s=7200.0)], imu=(0.0, 0.0, 0.0), mounting=(0.0, 0.0, 0.0))
