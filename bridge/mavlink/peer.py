@@ -7,6 +7,7 @@ which registers itself here.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from collections import deque
@@ -112,8 +113,9 @@ class MavlinkPeer:
         return [self.link.send(self._pending.popleft()) for _ in range(count)]
 
     def _start(self, body: bytes) -> None:
-        event = json.loads(body)
-        self.utc_minus_engine_ns = int(event["utc_ns"]) - int(event["monotonic_ns"])
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            event = json.loads(body)
+            self.utc_minus_engine_ns = int(event["utc_ns"]) - int(event["monotonic_ns"])
 
     def _is_for_us(self, message: Any) -> bool:
         us = (self.link.system_id, self.link.component_id)

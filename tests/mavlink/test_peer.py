@@ -260,6 +260,13 @@ def test_utc_comes_from_the_start_event() -> None:
     assert time.time_boot_ms == 5000
 
 
+@pytest.mark.parametrize("body", [b"", b"{}", b"[1]", b'{"utc_ns": null, "monotonic_ns": 1}'])
+def test_a_damaged_start_event_leaves_utc_unknown(body: bytes) -> None:
+    bench = Bench()
+    assert bench.peer.feed(RawFrame(0, 0, BRIDGE, Event.START, body)) == []
+    assert bench.peer.utc_minus_engine_ns is None
+
+
 @given(data=st.binary(max_size=60), key=st.sampled_from([20, 21, 23, 43, 44, 76, 75, 110, 111, 4, 30]))
 def test_damaged_packets_are_counted(data: bytes, key: int) -> None:
     bench = Bench()
