@@ -1,4 +1,4 @@
-"""The ``navbridge`` command: a sub-command is a module here with ``add_parser`` and ``run``, named in `COMMANDS`.
+"""The ``navbridge`` command: a sub-command is a module with ``add_parser`` and ``run``, named in `COMMANDS`.
 
 A module is imported when its command is asked for and not before, so that ``--help`` answers at once.
 
@@ -73,7 +73,7 @@ def _dispatch(arguments: list[str]) -> int:
         prog="navbridge",
         description="Inertial navigation bridge for test benches: CAN and MAVLink in, an aligned navigation "
         "solution out, bit-identical replay.",
-        epilog="navbridge COMMAND --help explains one command. --verbose, anywhere, adds a traceback to an error.",
+        epilog="navbridge COMMAND --help explains one command. --verbose adds a traceback to an error.",
     )
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")

@@ -13,11 +13,11 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "replay",
         help="play a capture again and compare the digest",
-        description="Play a capture through the engine as fast as it goes and compare the digest of the solution "
-        "with the one recorded, or with --golden. A capture that was cut off is verified as far as its "
-        "checkpoints reach. Exit status 1 when the digest differs. On other hardware or libraries than the "
-        "recording's, a difference from the recorded digest is reported with the largest deviation and is not "
-        "a failure; --golden always is exact.",
+        description="Play a capture through the engine as fast as it goes and compare the digest of the "
+        "solution with the one recorded, or with --golden. A capture that was cut off is verified as far as "
+        "its checkpoints reach. Exit status 1 when the digest differs. On other hardware or libraries than "
+        "the recording's, a difference from the recorded digest is reported with the largest deviation and "
+        "is not a failure; --golden always is exact.",
     )
     parser.add_argument("capture", metavar="CAPTURE", help="capture file (.mcap)")
     parser.add_argument("--config", metavar="CONFIG", help="another configuration than the capture's own")

@@ -25,7 +25,7 @@ _RETRY_NS: Final = 500_000_000
 _QUIET_NS: Final = 1_000_000_000
 _REPORT_NS: Final = 1_000_000_000
 _FAULTS: Final = 10  # errors in a row after which a bus is opened anew
-_FILTERS: Final = 256  # more than these are let through: the kernel holds 512, adapters fewer
+_FILTERS: Final = 256  # with more wanted all are let through: the kernel holds 512
 _ECHOES: Final = 256  # of our own frames that may be on their way back
 _ECHOING: Final = frozenset({"udp_multicast"})  # interfaces that hand us our own frames
 
@@ -81,6 +81,7 @@ class CanBus:
         if self._bus is None:
             return []
         earliest_ns = self._last_poll_ns - 1_000_000
+        was_down = self._state == "down"
         if self._socket is not None:
             frames = self._poll_socket(self._socket, earliest_ns, deadline_ns)
         else:
@@ -89,7 +90,7 @@ class CanBus:
         if frames:
             self._heard_ns = now_ns
             self._counts["frames"] += len(frames)
-            if self._state == "down":
+            if was_down:
                 self._state = "up"
                 self._tell(Event.BUS_STATE, state="up", text="the interface is up again")
         elif self._socket is not None and now_ns - self._heard_ns > _QUIET_NS:
@@ -150,10 +151,10 @@ class CanBus:
             arguments["fd"] = True
         bus = can.Bus(interface=options.interface, channel=options.channel, **arguments)
         try:
-            accept = self._filtered()
-            if accept is not None:
-                bus.set_filters([_filter(key) for key in sorted(accept)])
             if options.interface == "socketcan":
+                accept = self._filtered()
+                if accept is not None:
+                    bus.set_filters([_filter(key) for key in sorted(accept)])
                 self._socket = bus.socket  # type: ignore[attr-defined]
                 self._index = socket.if_nametoindex(str(options.channel))
                 self._counts["buffer_bytes"] = can_socket.enlarge(bus.socket)  # type: ignore[attr-defined]
@@ -226,6 +227,8 @@ class CanBus:
     def _poll_bus(self, bus: can.BusABC, earliest_ns: int, deadline_ns: int) -> list[Received]:
         frames: list[Received] = []
         clock, to_monotonic = self.context.clock, self.context.wall.to_monotonic
+        # not left to python-can: its recv takes a frame that was filtered out for an empty queue
+        accept = self._filtered()
         for _ in range(_BURST):
             try:
                 message = bus.recv(timeout=0)
@@ -240,7 +243,7 @@ class CanBus:
             data = bytes(message.data)
             if key & CAN_ERR:
                 self._error(key & 0x1FFF_FFFF, data, now_ns)
-            elif message.is_rx and not self._is_echo(key, data):
+            elif message.is_rx and (accept is None or key in accept) and not self._is_echo(key, data):
                 frames.append((to_monotonic(round(message.timestamp * 1e9), earliest_ns, now_ns), key, data))
             if now_ns >= deadline_ns:
                 break

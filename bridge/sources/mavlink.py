@@ -121,7 +121,7 @@ class MavlinkLink:
             if len(self._framers) >= _FRAMERS:
                 old = self._framers.pop(next(iter(self._framers)))
                 self._retired.update(noise=old.noise, unknown=old.unknown)
-            framer = self._framers[name] = Framer()
+            framer = self._framers[name] = Framer(self._transport.datagrams)
         packets = framer.feed(chunk.data)
         return packets + framer.flush() if self._transport.datagrams else packets
 

@@ -29,11 +29,13 @@ class Packet(NamedTuple):
 class Framer:
     """Splits bytes into packets.
 
-    ``noise`` counts bytes that belong to no packet, ``unknown`` packets of a message that the dialect
-    does not have: their checksum cannot be told from noise.
+    ``noise`` counts bytes that belong to no packet. The checksum of a message that the dialect does not
+    have cannot be told from noise: in datagrams, where packets are whole, it is stepped over and counted
+    in ``unknown``; in a stream its bytes count as noise.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, datagrams: bool = False) -> None:
+        self._datagrams = datagrams
         self.noise = 0
         self.unknown = 0
         self._buffer = bytearray()
@@ -59,7 +61,7 @@ class Framer:
             if packet is not None:
                 packets.append(packet)
                 at += length
-            elif length and self._skip_unknown(buffer, at, length):
+            elif length and self._datagrams and self._skip_unknown(buffer, at, length):
                 at += length
             else:
                 at += 1

@@ -34,7 +34,8 @@ class Serial:
             _, _, control, _, _, _, special = termios.tcgetattr(descriptor)
             control = (control & ~(termios.CSIZE | termios.PARENB | termios.CSTOPB)) | termios.CS8
             control |= termios.CREAD | termios.CLOCAL
-            special[termios.VMIN] = special[termios.VTIME] = 0
+            # one byte at least: with none an empty line could not be told from one that was pulled out
+            special[termios.VMIN], special[termios.VTIME] = 1, 0
             termios.tcsetattr(descriptor, termios.TCSANOW, [0, 0, control, 0, speed, speed, special])
         except termios.error as error:
             os.close(descriptor)
@@ -58,7 +59,10 @@ class Serial:
         except OSError as error:
             self._lose(error.strerror or "error", now_ns)
             return []
-        return [Chunk(0, self._device, data)] if data else []
+        if not data:
+            self._lose("hung up", now_ns)
+            return []
+        return [Chunk(0, self._device, data)]
 
     def send(self, data: bytes) -> bool:
         """Write what the line takes; the rest of a packet on a full line is lost."""
