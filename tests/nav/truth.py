@@ -7,7 +7,6 @@ rotations are used.
 
 from __future__ import annotations
 
-
 import numpy as np
 
 from nav import earth
@@ -18,7 +17,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
 class Drive:
-    """``radius`` m and ``rate`` rad/s of the eight; ``sway`` and ``nod`` rad of roll and pitch; radius 0 stands still."""
+    """``radius`` m and ``rate`` rad/s of the eight, ``sway`` and ``nod`` rad of roll and pitch."""
 
     def __init__(
         self, lat=0.8, lon=0.2, height=300.0, radius=150.0, rate=0.08, sway=0.03, nod=0.03, C_vb=None
