@@ -1,0 +1,205 @@
+"""``navbridge demo``: a simulated vehicle is aligned and navigated over an embedded virtual bus."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any, Final
+
+import can
+
+from bridge.assemble import Bridge
+from bridge.cli.sim import _positive, _seed, _speed
+from bridge.clock import Clock, HostClock, ScaledClock, SimulatedClock
+from bridge.config import Config
+from bridge.errors import ConfigError
+from bridge.evaluate import SolutionTable, TruthTable, errors, summary, table, truth_document
+from bridge.live import Outcome
+from bridge.outputs import Output, SolutionOut, Transmit
+from bridge.recording import Recorder
+from bridge.view import ViewProcess, ViewSink
+from nav import rotation
+from virtual_bus import scenario
+from virtual_bus.bus import Bench, Sent
+
+NAVIGATOR: Final = "main"
+CHANNEL: Final = "bench"
+_INTERRUPTED: Final = 130
+_TRUTH_NS: Final = 100_000_000
+_GPS_EPOCH_UNIX_S: Final = 315_964_800
+_WEEK_S: Final = 604_800
+_NS: Final = 1_000_000_000
+
+
+def add_parser(subparsers: Any) -> argparse.ArgumentParser:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "demo",
+        help="simulate, align and navigate a vehicle, all in one",
+        description="Run a simulated bench and the bridge in one process on a virtual CAN bus: the vehicle "
+        "is aligned and navigated, a ground station on udp 127.0.0.1:14550 shows it, everything is captured, "
+        "and at the end the solution is compared with the truth.",
+        epilog="packaged scenarios: "
+        + "; ".join(f"{name} ({title})" for name, title in scenario.packaged().items()),
+    )
+    parser.add_argument(
+        "scenario",
+        metavar="SCENARIO",
+        nargs="?",
+        default="drive",
+        help="name of a packaged scenario, or a TOML file (default: drive)",
+    )
+    parser.add_argument(
+        "--seconds", metavar="N", type=_positive, help="cut or extend the scenario to N seconds"
+    )
+    parser.add_argument(
+        "--speed",
+        metavar="max|X",
+        type=_speed,
+        default=1.0,
+        help="X times real time, or as fast as the machine can (default: 1)",
+    )
+    parser.add_argument("--seed", type=_seed, default=1, help="draws every sensor's errors (default: 1)")
+    parser.add_argument(
+        "--out",
+        metavar="FILE.mcap",
+        default="demo.mcap",
+        help="the capture, overwritten (default: demo.mcap)",
+    )
+    parser.add_argument(
+        "--mavlink",
+        metavar="URL",
+        default="udpout:127.0.0.1:14550",
+        help='where the ground station is, or "none" (default: udpout:127.0.0.1:14550)',
+    )
+    parser.add_argument("--no-view", action="store_true", help="no live view")
+    return parser
+
+
+class EmbeddedBench:
+    """A bench on python-can's virtual bus, for the live loop; it starts at the loop's first turn."""
+
+    def __init__(self, bench: Bench, buses: dict[str, can.BusABC]) -> None:
+        self.sent = Sent({})
+        self._bench = bench
+        self._buses = buses
+        self._start_ns: int | None = None
+
+    def send_due(self, now_ns: int) -> None:
+        """Put on the bus whatever is due by now."""
+        if self._start_ns is None:
+            self._start_ns = now_ns
+        self._bench.send_due(self._buses, min(now_ns - self._start_ns, self._bench.end_ns), self.sent)
+        for bus in self._buses.values():
+            # the devices do not listen, and what nobody reads would pile up
+            while bus.recv(0) is not None:
+                pass
+
+    def next_ns(self) -> int | None:
+        """When the next frame is due; None when there are no more."""
+        next_ns = self._bench.next_ns
+        if next_ns is None or next_ns > self._bench.end_ns:
+            return None
+        return next_ns + (self._start_ns or 0)
+
+    def truth(self, t_ns: int) -> dict[str, Any]:
+        """An object of the truth channel for an instant of the loop's clock."""
+        truth = self._bench.truth(t_ns - (self._start_ns or 0))
+        # rates from IMU to vehicle axes by way of east-north-up
+        w_iv_g = rotation.quat_rotate(truth.q_gb, truth.w_ib_b)
+        w_iv_v = rotation.quat_rotate(rotation.quat_conjugate(truth.q_gv), w_iv_g)
+        document = truth_document(truth.lat, truth.lon, truth.height, truth.v_g, truth.q_gv, w_iv_v)
+        return {"t_ns": t_ns, **document}
+
+    def truth_row(self, t_ns: int) -> TruthTable:
+        """The same as a table of one row."""
+        return TruthTable.from_documents([self.truth(t_ns)])
+
+
+class TruthSink:
+    """Keeps the truth of one solution in every tenth of a second, and records it."""
+
+    def __init__(self, bench: EmbeddedBench, recorder: Recorder | None) -> None:
+        self._bench = bench
+        self._recorder = recorder
+        self._slot = -1
+        self._solutions: list[SolutionOut] = []
+        self._documents: list[dict[str, Any]] = []
+
+    def consume(self, outputs: Sequence[Output]) -> list[Transmit]:
+        """Take the truth at the very instant of a solution, so that nothing is interpolated."""
+        for output in outputs:
+            if isinstance(output, SolutionOut) and output.navigator == NAVIGATOR:
+                t_ns = output.solution.t_ns
+                if t_ns // _TRUTH_NS > self._slot:
+                    self._slot = t_ns // _TRUTH_NS
+                    document = self._bench.truth(t_ns)
+                    if self._recorder is not None:
+                        self._recorder.truth(t_ns, document)
+                    self._solutions.append(output)
+                    self._documents.append(document)
+        return []
+
+    def lines(self) -> list[str]:
+        """Errors of the whole run, for people."""
+        solutions = SolutionTable.from_outputs(self._solutions)
+        return table(summary(errors(solutions, TruthTable.from_documents(self._documents))))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate and navigate; the last lines are the errors against truth and the digest."""
+    try:
+        bench = Bench(args.scenario, seed=args.seed, seconds=args.seconds)
+    except scenario.ScenarioError as error:
+        raise ConfigError(str(error)) from error
+    bench.prepare()
+    mavlink_url = None if args.mavlink == "none" else args.mavlink
+    files = bench.files("virtual", CHANNEL, mavlink_url)
+    config = Config.from_attachments({name: text.encode() for name, text in files.items()})
+    outcome, lines = _drive(args, bench, config)
+    print(f"{outcome.reason}: {outcome.seconds:.1f} s, {outcome.frames} frames, capture {args.out}")
+    if outcome.unrecorded:
+        print(f"{outcome.unrecorded} frames could not be recorded")
+    print(*lines, sep="\n")
+    print(f"solution sha256: {outcome.digest}", flush=True)
+    return _INTERRUPTED if outcome.reason.startswith("stopped by") else 0
+
+
+def _drive(args: argparse.Namespace, bench: Bench, config: Config) -> tuple[Outcome, list[str]]:
+    """The run itself, everything closed again at its end."""
+    clock = _clock(args.speed, bench)
+    metadata = {"scenario": str(args.scenario), "seed": str(args.seed), "speed": str(args.speed)}
+    with (
+        Bridge(config, clock, out=args.out, lossless=math.isinf(args.speed), metadata=metadata) as bridge,
+        _buses(bench) as buses,
+    ):
+        embedded = EmbeddedBench(bench, buses)
+        truth = TruthSink(embedded, bridge.recorder)
+        view = ViewProcess(start=not args.no_view)
+        title = f"{bench.scenario.title}, seed {args.seed}"
+        shown = ViewSink(view, NAVIGATOR, title=title, duration_s=bench.seconds, truth=embedded.truth_row)
+        try:
+            outcome = bridge.live(bench=embedded, sinks=[truth, shown]).run()
+        finally:
+            view.close()
+        return outcome, truth.lines()
+
+
+def _clock(speed: float, bench: Bench) -> Clock:
+    if math.isinf(speed):
+        start = bench.scenario.start
+        gps_s = start.gps_week * _WEEK_S + start.gps_tow_s
+        return SimulatedClock((_GPS_EPOCH_UNIX_S + gps_s - start.leap_seconds) * _NS, _NS)
+    return HostClock() if speed == 1.0 else ScaledClock(speed)
+
+
+@contextmanager
+def _buses(bench: Bench) -> Iterator[dict[str, can.BusABC]]:
+    """The devices' ends of the virtual buses, by the scenario's channels."""
+    with ExitStack() as stack:
+        yield {
+            name: stack.enter_context(can.Bus(interface="virtual", channel=place))
+            for name, place in bench.wiring("virtual", CHANNEL).buses.items()
+        }
