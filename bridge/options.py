@@ -48,7 +48,8 @@ class DeviceOptions(Table):
     """``[device.NAME]``: what every driver's options begin with.
 
     ``clock`` names a clock shared with other devices (one PPS); by default each has its own.
-    ``latency_ms`` is the shortest time from the instant measured to the frame's receive stamp.
+    ``latency_ms`` is the shortest time from the instant measured to the receive stamp of the frame that
+    carries the device's time.
     ``files`` (of the class) lists the keys that name files: these are read and travel with a capture.
     """
 
@@ -71,30 +72,73 @@ class SinkOptions(Table):
 
 
 class ImuErrors(Table):
-    """``[navigator.NAME.imu_errors]``: how good the IMU is, one sigma, after its calibration."""
+    """``[navigator.NAME.imu_errors]``: how good the IMU is, one sigma, after its calibration.
+
+    A bias is what stays for a whole run, an instability what wanders within ``correlation_s``. Scale errors
+    of 0 leave them out of the filter.
+    """
 
     gyro_bias_deg_per_h: Positive = 0.5
-    gyro_instability_deg_per_h: Positive = 0.05
+    gyro_instability_deg_per_h: NotNegative = 0.05
     gyro_random_walk_deg_per_sqrt_h: Positive = 0.01
+    gyro_scale_ppm: NotNegative = 0.0
     accel_bias_ug: Positive = 500.0
-    accel_instability_ug: Positive = 20.0
+    accel_instability_ug: NotNegative = 20.0
     accel_random_walk_ug_per_sqrt_hz: Positive = 20.0
+    accel_scale_ppm: NotNegative = 0.0
     correlation_s: Positive = 3600.0
+
+
+class AlignOptions(Table):
+    """``[navigator.NAME.align]``: how long alignment may take and what it may assume.
+
+    ``coarse_s`` and ``fine_s`` are the static alignment's. ``position_deg_m`` (latitude, longitude in deg,
+    height in m above the ellipsoid) stands in where no GNSS gives one. ``sway_m_s`` is the rms velocity
+    of the standing vehicle; ``rest_s`` the standstill that an alignment in motion takes for levelling,
+    ``heading_deg`` the sigma at which it ends, ``window_s`` the motion it looks at.
+    """
+
+    coarse_s: Positive = 60.0
+    fine_s: Positive = 240.0
+    position_deg_m: Three | None = None
+    position_sigma_m: Positive = 10.0
+    sway_m_s: Positive = 0.003
+    rest_s: Positive = 5.0
+    heading_deg: Positive = 2.0
+    window_s: Positive = 40.0
 
 
 class NavigatorOptions(Table):
     """``[navigator.NAME]``: who is heard, how it starts, and where things are.
 
-    Lever arms are in IMU axes (right, forward, up) from the IMU; ``output_point_m`` likewise.
-    ``mounting_deg`` is pitch, roll, heading of the IMU in the vehicle, or "find".
+    Without ``autostart`` a command starts it. ``mounting_deg`` is pitch, roll and heading of the IMU in the
+    vehicle, or "find"; ``mounting_sigma_deg`` says how far given angles are to be trusted. Lever arms go
+    from the IMU to the point, in IMU axes (right, forward, up); ``output_point_m`` likewise.
+
+    A ``zero_velocity_sigma_m_s`` of 0 switches zero-velocity updates off. A navigator is DEGRADED when
+    an aid is missing for longer than its ``timeout_s``: 0 means that it is not counted on; by default an
+    aid that a device of the navigator provides is.
     """
 
     devices: Annotated[list[str], Meta(min_length=1)]
     alignment: str = "static"
     autostart: bool = True
     mounting_deg: Three | Literal["find"] = (0.0, 0.0, 0.0)
+    mounting_sigma_deg: NotNegative = 0.5
     gnss_lever_arm_m: Three = (0.0, 0.0, 0.0)
     odometer_lever_arm_m: Three = (0.0, 0.0, 0.0)
     output_point_m: Three = (0.0, 0.0, 0.0)
+    gnss_timeout_s: NotNegative = 5.0
+    odometer_timeout_s: NotNegative = 5.0
+    barometer_timeout_s: NotNegative = 10.0
+    odometer_sigma_m_s: Positive = 0.03
+    odometer_scale_ppm: Positive = 10_000.0
+    barometer_bias_m: Positive = 30.0
     non_holonomic: bool = True
+    non_holonomic_sigma_m_s: Positive = 0.1
+    zero_velocity_sigma_m_s: NotNegative = 0.01
+    rest_gyro_deg_per_s: Positive = 0.6
+    rest_accel_m_s2: Positive = 0.15
+    gap_limit_s: Positive = 3.0
     imu_errors: ImuErrors = field(default_factory=ImuErrors)
+    align: AlignOptions = field(default_factory=AlignOptions)

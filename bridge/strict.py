@@ -33,13 +33,13 @@ def unknown(file: str, key: str, found: str, names: Iterable[str]) -> ConfigErro
 
 
 def one_of(found: str, names: Iterable[str]) -> str:
-    """Text "one of a, b, c", with the nearest name to ``found`` suggested first."""
+    """Text "one of a, b, c", and the nearest name to ``found`` suggested."""
     known = sorted(names)
     if not known:
         return "nothing here: none is defined"
     near = difflib.get_close_matches(found, known, n=1, cutoff=0.6)
-    hint = f'"{near[0]}" (did you mean that?) or ' if near and len(known) > 1 else ""
-    return f"{hint}one of {', '.join(known)}"
+    hint = f'; did you mean "{near[0]}"?' if near else ""
+    return f"one of {', '.join(known)}{hint}"
 
 
 def parse(data: bytes, file: str) -> dict[str, Any]:

@@ -7,19 +7,37 @@ new driver is a file here and a line in `DRIVERS`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from bridge.drivers.baro_can import BaroCan, BaroCanOptions
 from bridge.drivers.base import Entry
+from bridge.drivers.dbc_map import DbcMap
+from bridge.drivers.dbc_map_options import DbcMapOptions
 from bridge.drivers.gnss_can import GnssCan, GnssCanOptions
 from bridge.drivers.imu_can import ImuCan, ImuCanOptions
 from bridge.drivers.odometer_can import OdometerCan, OdometerCanOptions
 from bridge.drivers.sensors_mavlink import SensorsMavlink, SensorsMavlinkOptions
 from bridge.drivers.speed_can import SpeedCan, SpeedCanOptions
 
+
+def _always(kind: str) -> Callable[[Any], frozenset[str]]:
+    return lambda options: frozenset((kind,))
+
+
+def _mapped(options: DbcMapOptions) -> frozenset[str]:
+    channels = ("imu", "gnss", "speed", "odometer")
+    return frozenset(name for name in channels if getattr(options, name) is not None)
+
+
 DRIVERS: dict[str, Entry] = {
-    "imu_can": Entry(ImuCanOptions, ImuCan, "can"),
-    "odometer_can": Entry(OdometerCanOptions, OdometerCan, "can"),
-    "speed_can": Entry(SpeedCanOptions, SpeedCan, "can"),
-    "gnss_can": Entry(GnssCanOptions, GnssCan, "can"),
-    "baro_can": Entry(BaroCanOptions, BaroCan, "can"),
-    "sensors_mavlink": Entry(SensorsMavlinkOptions, SensorsMavlink, "mavlink"),
+    "imu_can": Entry(ImuCanOptions, ImuCan, "can", _always("imu")),
+    "odometer_can": Entry(OdometerCanOptions, OdometerCan, "can", _always("odometer")),
+    "speed_can": Entry(SpeedCanOptions, SpeedCan, "can", _always("speed")),
+    "gnss_can": Entry(GnssCanOptions, GnssCan, "can", _always("gnss")),
+    "baro_can": Entry(BaroCanOptions, BaroCan, "can", _always("baro")),
+    "sensors_mavlink": Entry(
+        SensorsMavlinkOptions, SensorsMavlink, "mavlink", SensorsMavlinkOptions.provides
+    ),
+    "dbc_map": Entry(DbcMapOptions, DbcMap, "can", _mapped),
 }

@@ -59,8 +59,11 @@ class Context:
 
 
 class Entry(NamedTuple):
-    """One line of `DRIVERS`: options, factory ``(options, context) -> driver``, kind of its source."""
+    """One line of `DRIVERS`: options, factory ``(options, context) -> driver``, kind of its source, and
+    more."""
 
     options: type[DeviceOptions]
     factory: Callable[[Any, Context], Driver]
     source_type: str
+    provides: Callable[[Any], frozenset[str]]
+    """From the options to the kinds of samples: "imu", "odometer", "speed", "gnss", "baro"."""

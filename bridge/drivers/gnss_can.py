@@ -27,7 +27,7 @@ _RAD: Final = math.pi / 180.0
 class GnssCanOptions(DeviceOptions):
     """``[device.NAME]`` with ``driver = "gnss_can"``.
 
-    ``latency_ms`` is from the epoch to the arrival of its first frame. A standard deviation below the
+    A standard deviation below the
     ``min_sigma_`` values is not believed: receivers that do not know theirs send 0.
     """
 
@@ -82,6 +82,7 @@ class GnssCan:
             self._alive = alive
             self._done_alive = -1
             self._have = 0
+        if place == 0:
             self._rx_ns = rx_ns
         values = codec.decode(data)
         self._data[place] = data

@@ -90,7 +90,6 @@ class ImuCan:
         self._accel: tuple[float, ...] = ()
         self._gyro_data = self._accel_data = self._time_data = self._fd_data = b""
         self._done_alive = -1
-        self._rx_ns = 0
         # the last sample given out
         self._last: ImuSample | None = None
         self._last_sample = 0
@@ -110,7 +109,6 @@ class ImuCan:
                 self._gyro = codec.decode(data)
                 self._gyro_alive = alive
                 self._gyro_data = data
-                self._rx_ns = rx_ns
             return ()
         if key == self._accel_key:
             codec = self._accel_codec
@@ -141,8 +139,7 @@ class ImuCan:
             if gyro[0] or gyro[1] or gyro[2] or accel[0] or accel[1] or accel[2]:
                 flags = _SATURATED
             counts = (*gyro[3:], *accel[3:])
-            stamp = self._rx_ns
-            return self._sample(self._classic, counts, flags, int(status), int(sample), int(time_us), stamp)
+            return self._sample(self._classic, counts, flags, int(status), int(sample), int(time_us), rx_ns)
         if key == self._fd_key:
             return self._feed_fd(data, rx_ns)
         return self._feed_status(data)

@@ -65,6 +65,17 @@ class SensorsMavlinkOptions(DeviceOptions, kw_only=True):
         if self.rate_hz is None and any(name in _IMU for name in self.messages):
             raise ValueError("rate_hz: found nothing, expected the rate of the inertial message")
 
+    def provides(self) -> frozenset[str]:
+        """Kinds of samples in the messages listened to."""
+        kinds = {
+            **dict.fromkeys(_IMU, "imu"),
+            **dict.fromkeys(_GNSS, "gnss"),
+            "WHEEL_DISTANCE": "odometer",
+            "SCALED_PRESSURE": "baro",
+        }
+        found = {kinds[name] for name in self.messages}
+        return frozenset(found | {"baro"} if self.pressure else found)
+
 
 class SensorsMavlink:
     """Decodes whole packets; each kind of message has its own port on the clock."""

@@ -19,7 +19,14 @@ FIRST_US = 2**32 - 12 * PERIOD_US  # wraps on the way
 
 
 def driver(**options: object) -> ImuCan:
-    table = {"driver": "imu_can", "source": "can0", "calibration": "cal.toml", "rate_hz": 200.0, **options}
+    table = {
+        "driver": "imu_can",
+        "source": "can0",
+        "calibration": "cal.toml",
+        "rate_hz": 200.0,
+        "latency_ms": 0.26,
+        **options,
+    }
     return ImuCan(ImuCanOptions(**table), context("imu", {"cal.toml": CALIBRATION}))  # type: ignore[arg-type]
 
 
@@ -36,7 +43,7 @@ def three(k: int, gyro: int = 10, status: int = 0, sat: int = 0) -> list[RawFram
 
 
 def one_fd(k: int, gyro: int = 10) -> list[RawFrame]:
-    rx = 10**9 + k * PERIOD_US * 1000 + 300_000
+    rx = 10**9 + k * PERIOD_US * 1000 + 560_000
     values = (0,) * 6 + (
         gyro,
         -gyro,
@@ -70,7 +77,7 @@ def test_pulses_become_increments(frames: object) -> None:
         assert s.dt == pytest.approx(0.005, abs=1e-12)
         np.testing.assert_allclose(s.dtheta, [10 * ARCSEC, -10 * ARCSEC, 20 * ARCSEC], rtol=1e-14)
         np.testing.assert_allclose(s.dv, [1e-4, 2e-4, 0.049], rtol=1e-14)
-        # every frame is equally late, so the stamp is the first frame's arrival, through the counter's wrap
+        # every frame is equally late: the stamp is that of the frame with the time, less the latency
         assert s.t_ns == 10**9 + k * PERIOD_US * 1000 + 300_000
     health = imu.counters.health(samples[-1].t_ns)
     assert (health.samples, health.missing, health.duplicates, health.rejects) == (50, 0, 0, {})

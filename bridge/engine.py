@@ -1,0 +1,302 @@
+"""The engine: a pure fold over recorded frames.
+
+A frame goes to the drivers that subscribed to its key, their samples to the navigators that listen to the
+device, and what comes out is put into the words of bridge.outputs. No clock is read, no socket touched, no
+random number drawn; what a frame can cost is bounded.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from bridge.commands import Command, CommandCode
+from bridge.config import Config
+from bridge.digest import DigestChain
+from bridge.drivers import DRIVERS
+from bridge.drivers.base import Context, Driver
+from bridge.drivers.counters import Counters
+from bridge.drivers.device_clock import DeviceClock
+from bridge.frame import BRIDGE, Event, RawFrame
+from bridge.mavlink.peer import MavlinkPeer
+from bridge.navigators import build_navigator, provided
+from bridge.options import MavlinkSource
+from bridge.outputs import (
+    FixOut,
+    Health,
+    Innovation,
+    ModeChange,
+    Output,
+    Progress,
+    Reject,
+    Severity,
+    SolutionOut,
+    Text,
+    Transmit,
+)
+from dbc.codec import contract
+from nav import events
+from nav.navigator import Navigator
+from nav.types import GnssFix, Sample, Solution
+
+SECOND_NS: Final = 1_000_000_000
+BACKWARDS_NS: Final = SECOND_NS
+"""Stamps of different sockets cross by less; a frame further back than this is turned away."""
+
+ACCEPTED: Final = 0  # MAV_RESULT
+UNSUPPORTED: Final = 3
+
+_NOTHING: Final[tuple[Output, ...]] = ()
+_REFUSALS: Final = {"stale": Reject.STALE, "invalid": Reject.INVALID}
+_MEASURES: Final = {
+    "gnss_position": "gnss",
+    "gnss_velocity": "gnss",
+    "barometer": "baro",
+    "odometer": "odometer",
+    "speed": "speed",
+}
+"""Kind of sample behind each kind of innovation; the others come from no device."""
+
+
+class _Line(NamedTuple):
+    """One navigator with its digest; ``sensors`` are the counters behind each kind of innovation."""
+
+    name: str
+    navigator: Navigator
+    chain: DigestChain
+    sensors: dict[str, Counters]
+
+
+class _Route(NamedTuple):
+    """A driver and the navigators that listen to it."""
+
+    feed: Callable[[RawFrame], Sequence[Sample]]
+    driver: Driver
+    lines: tuple[_Line, ...]
+
+
+class Engine:
+    """Everything downstream of the recorder.
+
+    ``peers`` are our ends of the MAVLink links by source number; a telemetry sink on a link is made with
+    its peer. ``accept`` says, by source number, which keys anybody wants; a MAVLink source is not there:
+    its peer listens to more than is worth listing.
+
+    Raises ConfigError when the configuration asks for what a driver or navigator cannot do.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._now = 0
+        self._next_health: int | None = None
+        self._unknown = 0
+        self._dropped = 0
+        self._unrecorded = 0
+        self._drivers = _build_drivers(config)
+        self._lines = [
+            _Line(name, build_navigator(name, config), DigestChain(name), self._sensors(name, config))
+            for name in config.navigators
+        ]
+        self._waiting = [line for line in self._lines if config.navigators[line.name].autostart]
+        self._routes: dict[tuple[int, int], tuple[_Route, ...]] = {}
+        for name, driver in self._drivers.items():
+            lines = tuple(line for line in self._lines if name in config.navigators[line.name].devices)
+            route = _Route(driver.feed, driver, lines)
+            for key in driver.keys:
+                self._routes[key] = (*self._routes.get(key, ()), route)
+
+        self.peers: dict[int, MavlinkPeer] = {}
+        self.accept: dict[int, frozenset[int]] = {}
+        self._command_codec = contract()["COMMAND"]
+        self._ack_codec = contract()["COMMAND_ACK"]
+        self._ack_alive = 0
+        table = tomllib.loads(config.resolved_toml())
+        for number, options in enumerate(config.sources.values(), start=1):
+            if isinstance(options, MavlinkSource):
+                self.peers[number] = MavlinkPeer(number, options, table)
+            else:
+                keys = {key for source, key in self._routes if source == number}
+                self.accept[number] = frozenset(keys | {self._command_codec.frame_id})
+
+    def _sensors(self, name: str, config: Config) -> dict[str, Counters]:
+        kinds = provided(name, config)
+        # where two devices measure the same, the innovation does not say which of them it was
+        return {
+            measure: self._drivers[kinds[kind][0]].counters
+            for measure, kind in _MEASURES.items()
+            if kind in kinds
+        }
+
+    def digests(self) -> dict[str, str]:
+        """Digest of each navigator's solutions up to now."""
+        return {line.name: line.chain.final() for line in self._lines}
+
+    def feed(self, frame: RawFrame) -> Sequence[Output]:
+        """What follows from one more frame."""
+        _, rx_ns, source, key, _ = frame
+        if rx_ns > self._now:
+            self._now = rx_ns
+        elif rx_ns < self._now:
+            if rx_ns < self._now - BACKWARDS_NS:
+                for route in self._routes.get((source, key), ()):
+                    route.driver.counters.reject(Reject.STALE)
+                return _NOTHING
+            frame = frame._replace(rx_ns=self._now)
+        out: list[Output] = []
+        if self._next_health is None or rx_ns >= self._next_health:
+            self._second(out)
+        routes = self._routes.get((source, key))
+        if routes is not None:
+            for feed, _, lines in routes:
+                for sample in feed(frame):
+                    if type(sample) is GnssFix:
+                        out.append(FixOut(self._now, sample.device, sample))
+                    for line in lines:
+                        self._take_all(line, line.navigator.step(sample), out)
+        elif source == BRIDGE:
+            self._event(frame, out)
+        elif source not in self.peers:
+            if key == self._command_codec.frame_id:
+                self._can_command(frame, out)
+            else:
+                self._unknown += 1
+        if self.peers:
+            self._ask_peers(frame, out)
+        return out
+
+    def _take_all(self, line: _Line, said: Sequence[events.NavEvent], out: list[Output]) -> None:
+        """Put what a navigator said into the outputs' words."""
+        for event in said:
+            if type(event) is Solution:
+                out.append(SolutionOut(line.name, event, self._now))
+                checkpoint = line.chain.add(event)
+                if checkpoint is not None:
+                    out.append(checkpoint)
+            else:
+                self._take(line, event, out)
+
+    def _take(self, line: _Line, event: events.NavEvent, out: list[Output]) -> None:
+        match event:
+            case events.Innovation():
+                if not event.accepted and event.kind in line.sensors:
+                    line.sensors[event.kind].reject(Reject.GATE)
+                out.append(
+                    Innovation(
+                        event.t_ns,
+                        line.name,
+                        event.kind,
+                        event.residual,
+                        event.sigma,
+                        event.nis,
+                        event.accepted,
+                    )
+                )
+            case events.ModeChange():
+                out.append(ModeChange(event.t_ns, line.name, event.old, event.new, event.reason))
+            case events.AlignmentProgress():
+                out.append(Progress(event.t_ns, line.name, "alignment", event.progress))
+            case events.Refusal():
+                reason = _REFUSALS.get(event.reason)
+                if reason is not None and event.device in self._drivers:
+                    self._drivers[event.device].counters.reject(reason)
+            case events.Notice():
+                out.append(Text(event.t_ns, Severity.NOTICE, f"{line.name}: {event.text}"))
+
+    def _second(self, out: list[Output]) -> None:
+        """What happens at the first frame, and then at the first of every second."""
+        now = self._now
+        first = self._next_health is None
+        self._next_health = (now // SECOND_NS + 1) * SECOND_NS
+        devices = {name: driver.counters.health(now) for name, driver in self._drivers.items()}
+        if first:
+            for line in self._waiting:
+                self._take_all(line, line.navigator.start(now), out)
+            return
+        out.append(Health(now, devices, self._unknown, self._dropped, self._unrecorded))
+        for name, driver in self._drivers.items():
+            notes = driver.counters.notes
+            if notes:
+                out.extend(Text(now, Severity.WARNING, f"{name}: {note}") for note in notes)
+                notes.clear()
+
+    # commands
+
+    def _order(self, command: Command, out: list[Output]) -> None:
+        for line in self._lines:
+            if command.code in (CommandCode.STOP, CommandCode.RESTART):
+                self._take_all(line, line.navigator.stop(self._now), out)
+            if command.code in (CommandCode.START_ALIGNMENT, CommandCode.RESTART):
+                self._take_all(line, line.navigator.start(self._now), out)
+
+    def _can_command(self, frame: RawFrame, out: list[Output]) -> None:
+        codec = self._command_codec
+        if not codec.crc_ok(frame.data):
+            self._unknown += 1
+            return
+        number, argument = codec.decode(frame.data)
+        result = UNSUPPORTED
+        if number in list(CommandCode):
+            self._order(Command(CommandCode(int(number)), int(argument)), out)
+            result = ACCEPTED
+        ack = self._ack_codec
+        data = ack.encode(self._ack_alive, number, result)
+        self._ack_alive = (self._ack_alive + 1) % ack.alive_modulus
+        out.append(Transmit(frame.source, ack.frame_id, data))
+
+    def _ask_peers(self, frame: RawFrame, out: list[Output]) -> None:
+        for number, peer in self.peers.items():
+            if frame.source in (number, BRIDGE):
+                for answer in peer.feed(frame):
+                    if isinstance(answer, Command):
+                        self._order(answer, out)
+                    else:
+                        out.append(answer)
+
+    # the bridge's own events
+
+    def _event(self, frame: RawFrame, out: list[Output]) -> None:
+        if frame.key == Event.TICK:
+            return
+        try:
+            body = json.loads(frame.data)
+            text = self._border(frame.key, body, out)
+        except (ValueError, KeyError, TypeError, AttributeError):
+            self._unknown += 1
+            return
+        if text is not None:
+            out.append(Text(self._now, *text))
+
+    def _border(self, key: int, body: dict[str, Any], out: list[Output]) -> tuple[Severity, str] | None:
+        """What the border has to say, for the counters and for the operator."""
+        match key:
+            case Event.DROPPED:
+                self._dropped += int(body["frames"])
+                return Severity.WARNING, f"{body['frames']} frames lost before they were read"
+            case Event.UNRECORDED:
+                self._unrecorded += int(body["frames"])
+                return Severity.ERROR, f"{body['frames']} frames not recorded: the disk is too slow or full"
+            case Event.CLOCK_STEP:
+                return Severity.NOTICE, f"the wall clock stepped by {int(body['step_ns']) / 1e9:+.3f} s"
+            case Event.BUS_STATE:
+                return Severity.WARNING, f"bus {body['source']}: {body['text']}"
+            case Event.PEER:
+                return Severity.INFO, str(body["text"])
+            case Event.COMMAND:
+                self._order(_command(body), out)
+        return None
+
+
+def _command(body: Mapping[str, Any]) -> Command:
+    """A console's request; ValueError or KeyError where there is no such command."""
+    return Command(CommandCode[str(body["command"]).upper()])
+
+
+def _build_drivers(config: Config) -> dict[str, Driver]:
+    shared: dict[str, DeviceClock] = {}
+    drivers: dict[str, Driver] = {}
+    for name, options in config.devices.items():
+        clock = DeviceClock() if options.clock is None else shared.setdefault(options.clock, DeviceClock())
+        context = Context(name, config.source_number(options.source), config.file, config.files, clock)
+        drivers[name] = DRIVERS[options.driver].factory(options, context)
+    return drivers

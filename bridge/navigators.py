@@ -1,0 +1,154 @@
+"""From a navigator's table to the navigator: here its units become SI, once."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from bridge.config import Config
+from bridge.drivers import DRIVERS
+from bridge.errors import ConfigError
+from bridge.options import NavigatorOptions
+from bridge.strict import unknown, wrong
+from nav.align import ALIGNMENTS, AlignConfig
+from nav.navigator import ImuErrors, Navigator, NavigatorConfig
+from nav.rotation import dcm_from_euler
+from nav.types import Vector
+
+_DEG: Final = math.pi / 180.0
+_DEG_PER_H: Final = _DEG / 3600.0
+_DEG_PER_SQRT_H: Final = _DEG / 60.0
+_UG: Final = 1e-6 * 9.80665
+
+
+def provided(name: str, config: Config) -> dict[str, list[str]]:
+    """Kinds of samples that a navigator gets, each with the devices it gets them from."""
+    kinds: dict[str, list[str]] = {}
+    for device in config.navigators[name].devices:
+        options = config.devices[device]
+        for kind in DRIVERS[options.driver].provides(options):
+            kinds.setdefault(kind, []).append(device)
+    return kinds
+
+
+def build_navigator(name: str, config: Config) -> Navigator:
+    """The navigator of one ``[navigator.NAME]``, in STANDBY.
+
+    Raises:
+        ConfigError: an unknown alignment, no IMU or two, or an aid missing that the alignment needs.
+    """
+    return Navigator(navigator_config(name, config))
+
+
+def navigator_config(name: str, config: Config) -> NavigatorConfig:
+    """What ``[navigator.NAME]`` asks for, in SI units.
+
+    Raises:
+        ConfigError: as `build_navigator`.
+    """
+    options = config.navigators[name]
+    kinds = provided(name, config)
+    key = f"navigator.{name}"
+    if options.alignment not in ALIGNMENTS:
+        raise unknown(config.file, f"{key}.alignment", options.alignment, ALIGNMENTS)
+    imus = kinds.get("imu", [])
+    if len(imus) != 1:
+        found = ", ".join(imus) or "no IMU"
+        raise ConfigError(f"{config.file}: {key}.devices: found {found}, expected exactly one IMU")
+    has_position = "gnss" in kinds or options.align.position_deg_m is not None
+    for need in sorted(ALIGNMENTS[options.alignment].needs):
+        if need not in kinds:
+            raise wrong(
+                config.file, f"{key}.alignment", options.alignment, f"a device that provides {need} with it"
+            )
+    if not has_position:
+        raise ConfigError(
+            f"{config.file}: {key}.align.position_deg_m: found nothing, expected a position, "
+            "as no device provides gnss"
+        )
+    C_vb = _mounting(options)
+    errors = _imu_errors(options)
+    gnss_lever_arm = np.array(options.gnss_lever_arm_m)
+    rolls = "odometer" in kinds
+    moves = rolls or "speed" in kinds
+    return NavigatorConfig(
+        imu=errors,
+        alignment=options.alignment,
+        C_vb=C_vb,
+        sigma_mounting=options.mounting_sigma_deg * _DEG,
+        gnss_lever_arm=gnss_lever_arm,
+        odometer_lever_arm=np.array(options.odometer_lever_arm_m),
+        output_point=np.array(options.output_point_m),
+        odometer=rolls,
+        gnss_timeout=_patience(options.gnss_timeout_s, "gnss" in kinds),
+        odometer_timeout=_patience(options.odometer_timeout_s, moves),
+        barometer_timeout=_patience(options.barometer_timeout_s, "baro" in kinds),
+        odometer_sigma=options.odometer_sigma_m_s,
+        odometer_quantum=max(
+            (getattr(config.devices[device], "m_per_tick", 0.0) for device in kinds.get("odometer", [])),
+            default=0.0,
+        ),
+        odometer_scale=options.odometer_scale_ppm * 1e-6,
+        non_holonomic=options.non_holonomic_sigma_m_s if options.non_holonomic else None,
+        zero_velocity=options.zero_velocity_sigma_m_s or None,
+        rest_gyro=options.rest_gyro_deg_per_s * _DEG,
+        rest_accel=options.rest_accel_m_s2,
+        baro_bias=options.barometer_bias_m,
+        gap_limit=options.gap_limit_s,
+        align=_align(options, errors, gnss_lever_arm, C_vb),
+    )
+
+
+def _patience(timeout_s: float, provided: bool) -> float | None:
+    return timeout_s if provided and timeout_s > 0.0 else None
+
+
+def _mounting(options: NavigatorOptions) -> Vector | None:
+    if isinstance(options.mounting_deg, str):
+        return None
+    pitch, roll, heading = (angle * _DEG for angle in options.mounting_deg)
+    return dcm_from_euler(heading, pitch, roll)
+
+
+def _imu_errors(options: NavigatorOptions) -> ImuErrors:
+    table = options.imu_errors
+    return ImuErrors(
+        angle_random_walk=table.gyro_random_walk_deg_per_sqrt_h * _DEG_PER_SQRT_H,
+        velocity_random_walk=table.accel_random_walk_ug_per_sqrt_hz * _UG,
+        gyro_bias=table.gyro_bias_deg_per_h * _DEG_PER_H,
+        accel_bias=table.accel_bias_ug * _UG,
+        gyro_instability=table.gyro_instability_deg_per_h * _DEG_PER_H,
+        accel_instability=table.accel_instability_ug * _UG,
+        gyro_bias_time=table.correlation_s,
+        accel_bias_time=table.correlation_s,
+        gyro_scale=table.gyro_scale_ppm * 1e-6,
+        accel_scale=table.accel_scale_ppm * 1e-6,
+    )
+
+
+def _align(
+    options: NavigatorOptions, imu: ImuErrors, gnss_lever_arm: Vector, C_vb: Vector | None
+) -> AlignConfig:
+    table = options.align
+    position = None
+    if table.position_deg_m is not None:
+        lat, lon, height = table.position_deg_m
+        position = (lat * _DEG, lon * _DEG, height)
+    return AlignConfig(
+        gyro_bias=math.hypot(imu.gyro_bias, imu.gyro_instability),
+        accel_bias=math.hypot(imu.accel_bias, imu.accel_instability),
+        angle_random_walk=imu.angle_random_walk,
+        velocity_random_walk=imu.velocity_random_walk,
+        coarse_s=table.coarse_s,
+        fine_s=table.fine_s,
+        position=position,
+        sigma_position=table.position_sigma_m,
+        sway=table.sway_m_s,
+        gnss_lever_arm=gnss_lever_arm,
+        C_vb=C_vb,
+        sigma_heading=table.heading_deg * _DEG,
+        window_s=table.window_s,
+        rest_s=table.rest_s,
+    )
