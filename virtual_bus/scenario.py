@@ -282,46 +282,34 @@ def _explain(document: dict[str, Any], message: str) -> str:
     text, _, where = message.partition(" - at `$")
     parts = re.findall(r"[^.\[\]`]+", where)
     found: Any = document
-    target: Any = Scenario
     key = ""
     for part in parts:
-        target = _member(target, part, found)
         found = found[int(part)] if isinstance(found, list) else found.get(part)
         key = f"{key}[{part}]" if part.isdigit() else f"{key}.{part}" if key else part
     if match := re.match(r"Object contains unknown field `(.*)`", text):
-        fields = ", ".join(_tagged(target, found).__struct_fields__)
+        fields = ", ".join(_struct(parts, found).__struct_fields__)
         return f"{key + '.' if key else ''}{match[1]}: found an unknown key, expected one of {fields}"
     if match := re.match(r"Object missing required field `(.*)`", text):
         return f"{key + '.' if key else ''}{match[1]}: found nothing, expected this key"
-    if text.startswith("Invalid value") and key.endswith("kind"):
-        kinds = ", ".join(sorted(m.__struct_config__.tag for m in typing.get_args(_last_union(parts))))
-        return f'{key}: found "{found}", expected one of {kinds}'
+    if key.endswith(".kind"):
+        return f'{key}: found "{found}", expected one of {", ".join(sorted(_kinds(parts[0])))}'
     shown = "a table" if isinstance(found, dict) else repr(found)
     if match := re.match(r"Expected (.*?)(?:, got .*)?$", text):
         return f"{key}: found {shown}, expected {match[1].replace('`', '')}"
     return f"{key}: {text}"
 
 
-def _last_union(parts: list[str]) -> Any:
-    return AnyFault if parts[0] == "fault" else Manoeuvre
+def _kinds(name: str) -> dict[str, type[msgspec.Struct]]:
+    """The structs of a list of manoeuvres or faults by their kind."""
+    members = typing.get_args(AnyFault if name == "fault" else Manoeuvre)
+    return {str(member.__struct_config__.tag): member for member in members}
 
 
-def _member(target: Any, part: str, found: Any) -> Any:
-    """Type of a member of ``target``; None where it does not matter any more."""
-    if part.isdigit():
-        return Manoeuvre if target is list[Manoeuvre] else AnyFault if target is list[AnyFault] else None
-    struct = _tagged(target, found)
-    hint = typing.get_type_hints(struct).get(part) if struct is not None else None
-    for member in typing.get_args(hint) or ():
-        if isinstance(member, type) and issubclass(member, msgspec.Struct) and hint is not Manoeuvre:
-            return member
-    return hint
-
-
-def _tagged(target: Any, found: Any) -> Any:
-    """The struct that ``found`` is meant to be: of a union, the one its kind names."""
-    for member in typing.get_args(target):
-        config = getattr(member, "__struct_config__", None)
-        if isinstance(found, dict) and config is not None and config.tag == found.get("kind"):
-            return member
-    return target if isinstance(target, type) else None
+def _struct(parts: list[str], found: Any) -> type[msgspec.Struct]:
+    """What the table at ``parts`` was read as."""
+    if not parts:
+        return Scenario
+    if parts[0] in ("manoeuvre", "fault"):
+        return _kinds(parts[0])[found["kind"]]
+    hint: Any = typing.get_type_hints(Scenario)[parts[0]]
+    return next(m for m in (*typing.get_args(hint), hint) if isinstance(m, type) and issubclass(m, Table))

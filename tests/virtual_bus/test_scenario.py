@@ -1,0 +1,164 @@
+"""Scenarios: the packaged ones, strict reading, cutting and extending."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bridge.calibration import read_calibration
+from bridge.config import Config
+from virtual_bus import scenario
+from virtual_bus.bus import CALIBRATION, Bench
+from virtual_bus.configuration import imu_errors
+from virtual_bus.grades import ARCSEC, DEG_PER_H, GRADES, UG
+from virtual_bus.scenario import ScenarioError
+from virtual_bus.truth import mounting_matrix
+
+NAMES = sorted(scenario.packaged())
+GOOD = """
+title = "t"
+grade = "fog"
+[start]
+lat_deg = 48.0
+lon_deg = 11.0
+[[manoeuvre]]
+kind = "static"
+duration_s = 5.0
+"""
+
+
+def write(tmp_path, text):
+    path = tmp_path / "own.toml"
+    path.write_text(text)
+    return path
+
+
+def test_there_are_the_packaged_ones():
+    assert {"drive", "drive_outage", "static_rlg", "mems_drive", "long_drive"} <= set(NAMES)
+    drive = scenario.load("drive")
+    assert drive.seconds() == 300.0
+    assert drive.manoeuvre[0].duration_s == 60.0
+    assert scenario.load("long_drive.toml").seconds() == 3600.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_packaged_scenario_runs_and_its_configuration_loads(name, tmp_path):
+    bench = Bench(name, seed=2, seconds=3.0)
+    assert sum(1 for _ in bench.due(bench.end_ns)) > 500
+    for file, text in bench.files("virtual", "bench", "udpout:127.0.0.1:14550").items():
+        (tmp_path / file).write_text(text)
+    config = Config.load(tmp_path / "config.toml")
+    assert set(config.devices) == set(bench.scenario.devices())
+    assert {sink.type for sink in config.sinks.values()} == {"can_solution", "mavlink"}
+    calibration = read_calibration(config.files[CALIBRATION], CALIBRATION)
+    assert calibration.serial == bench.imu_errors.serial
+    sheet = bench.imu_errors
+    pairs = (
+        (calibration.calibration.gyro_bias, sheet.calibrated_gyro.bias, DEG_PER_H),
+        (calibration.calibration.accel_bias, sheet.calibrated_accel.bias, UG),
+        (calibration.calibration.gyro_axes, sheet.calibrated_gyro.axes, ARCSEC),
+        (calibration.calibration.gyro_scale_plus, sheet.calibrated_gyro.scale, 1e-6 * ARCSEC),
+        (calibration.calibration.accel_scale_plus, sheet.calibrated_accel.scale, 1e-9),
+        (calibration.calibration.gyro_g, sheet.calibrated_gyro.g_sensitivity, DEG_PER_H),
+    )
+    for read, written, unit in pairs:
+        assert read == pytest.approx(written, abs=1e-9 * unit)
+
+
+def test_lever_arms_are_told_in_imu_axes():
+    bench = Bench("mems_drive", seed=1, seconds=1.0)
+    vehicle = bench.scenario.vehicle
+    text = bench.config_toml("virtual", "x")
+    line = next(row for row in text.splitlines() if row.startswith("gnss_lever_arm_m"))
+    arm_b = np.array([float(v) for v in line.split("[")[1].rstrip("]").split(",")])
+    arm_v = mounting_matrix(*vehicle.mounting_deg) @ arm_b
+    assert arm_v == pytest.approx(np.array(vehicle.antenna_m) - np.array(vehicle.imu_m), abs=1e-12)
+    assert 'mounting_deg = "find"' in text
+
+
+def test_noise_figures_say_at_least_what_the_unit_does():
+    for grade in GRADES.values():
+        figures = imu_errors(grade)
+        assert figures["accel_bias_ug"] >= grade.accel_bias_ug
+        assert figures["gyro_random_walk_deg_per_sqrt_h"] == grade.gyro_random_walk_deg_per_sqrt_h
+
+
+def test_cut_and_extended(tmp_path):
+    path = write(
+        tmp_path,
+        GOOD.replace('title = "t"', 'title = "t"\nrepeat_from = 1')
+        + '[[manoeuvre]]\nkind = "accelerate"\nduration_s = 4.0\nspeed_m_s = 10.0\n'
+        + '[[manoeuvre]]\nkind = "brake"\nduration_s = 3.0\n',
+    )
+    assert scenario.load(path).seconds() == 12.0
+    short, long = Bench(path, seconds=7.0), Bench(path, seconds=33.0)
+    assert max(f.t_ns for f in short.due(short.end_ns)) <= 7_000_000_000
+    # 5 s at rest, then 7 s of go and stop for ever: the second and the third go begin alike
+    speed = long.trajectory.profile.speed(np.array([7.0, 14.0, 21.0, 28.0]) * 1e9)
+    assert speed == pytest.approx([speed[0]] * 4)
+    assert speed[0] > 1.0
+    assert sum(1 for f in long.due(long.end_ns) if f.frame_id == 0x100) == pytest.approx(6600, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("lat_deg", "latitude"), r"own.toml: start\.\w+: found .* expected"),
+        (("48.0", '"north"'), r"own.toml: start.lat_deg: found 'north', expected float"),
+        (("48.0", "95.0"), r"own.toml: start.lat_deg: found 95.0, expected float <= 89.0"),
+        (("48.0", "nan"), r"own.toml: start.lat_deg: found nan, expected a finite number"),
+        (('"fog"', '"fgo"'), r'own.toml: grade: found "fgo", expected one of fog, mems, rlg'),
+        (('"static"', '"hover"'), r'manoeuvre\[0\].kind: found "hover", expected one of accelerate, .*turn'),
+        (("5.0", "-5.0"), r"own.toml: manoeuvre\[0\]: duration_s: found -5.0, expected a positive"),
+        (("[start]", "[[start]]"), r"own.toml: start: found .* expected object"),
+        (
+            ("5.0", "5.0\nspeed = 3"),
+            r"manoeuvre\[0\].speed: found an unknown key, expected one of duration_s",
+        ),
+        (("[start]", "[gnss]\nwhite = 3\n[start]"), r"gnss.white: found an unknown key, .*white_m"),
+        (("[start]", "repeat_from = 7\n[start]"), r"repeat_from: found 7, expected -1 to 0"),
+        (("[start]", "[start"), r"own.toml: not valid TOML"),
+    ],
+)
+def test_what_is_wrong_is_said(tmp_path, change, message):
+    with pytest.raises(ScenarioError, match=message):
+        scenario.load(write(tmp_path, GOOD.replace(*change)))
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (
+            'kind = "drop"\ndevice = "odometer"\nstart_s = 1.0\nduration_s = 1.0',
+            r'fault\[0\].device: found "odom',
+        ),
+        ('kind = "drop"\nstart_s = 1.0\nduration_s = 1.0', r"fault\[0\].device: found nothing"),
+        (
+            'kind = "drop"\ndevice = "imu"\nstart_s = 1.0\nduration_s = 0.0',
+            r"fault\[0\]: .*positive duration",
+        ),
+        ('kind = "dorp"\nstart_s = 1.0\nduration_s = 1.0', r'fault\[0\].kind: found "dorp", .*gnss_outage'),
+        (
+            'kind = "reset"\ndevice = "imu"\nstart_s = 1\nduration_s = 1\nx = 1',
+            r"fault\[0\].x: found an unknown",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_fault_is_said(tmp_path, more, message):
+    with pytest.raises(ScenarioError, match=message):
+        scenario.load(write(tmp_path, f"{GOOD}[[fault]]\n{more}\n"))
+
+
+def test_what_cannot_be_driven_is_said(tmp_path):
+    text = GOOD + '[[manoeuvre]]\nkind = "accelerate"\nduration_s = 4.0\nspeed_m_s = 10.0\n'
+    with pytest.raises(ScenarioError, match=r"own.toml: manoeuvre\[2\]: static entered at 10.0 m/s"):
+        scenario.load(write(tmp_path, text + '[[manoeuvre]]\nkind = "static"\nduration_s = 4.0\n'))
+    with pytest.raises(ScenarioError, match=r"manoeuvre\[0\]: static entered"):
+        scenario.load(write(tmp_path, text.replace('title = "t"', 'title = "t"\nrepeat_from = 0')))
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    with pytest.raises(ScenarioError, match=r"no such scenario; expected .* one of drive, drive_outage"):
+        scenario.load("driev")
+    with pytest.raises(ScenarioError, match="seconds: found -1"):
+        Bench("drive", seconds=-1.0)
