@@ -24,6 +24,7 @@ from nav.types import Mode, S, SolutionFlag
 
 _PERIOD_S: Final = 0.2
 _CLOSE_S: Final = 3.0
+_MESSAGES: Final = 20  # of one picture; the rest of a flood is counted
 
 
 class ViewProcess:
@@ -146,7 +147,10 @@ class ViewSink:
 
     def show(self) -> None:
         """Hand over the picture as it is now."""
-        picture = dict(self._picture, messages=list(self._messages))
+        messages = self._messages[:_MESSAGES]
+        if len(self._messages) > _MESSAGES:
+            messages.append((False, f"and {len(self._messages) - _MESSAGES} more messages"))
+        picture = dict(self._picture, messages=messages)
         if self._solution is not None:
             picture["solution"] = _solution(self._solution)
             picture["error"] = self._error(self._solution)

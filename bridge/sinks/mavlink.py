@@ -42,6 +42,8 @@ _VEHICLES: Final = {
 }
 _SEVERITIES: Final = {Mode.FAULT: Severity.CRITICAL, Mode.DEGRADED: Severity.WARNING}
 _MAX_RATE_HZ: Final = 200.0
+_TEXTS_PER_S: Final = 5
+_SECOND_NS: Final = 1_000_000_000
 
 
 class MavlinkTelemetryOptions(SinkOptions):
@@ -81,6 +83,9 @@ class MavlinkTelemetry:
         self._soonest_ns = 0
         self._stage = ""
         self._text_id = 0
+        self._text_second = 0
+        self._texts = 0
+        self._held_back = 0
 
     def consume(self, outputs: Sequence[Output]) -> list[Transmit]:
         """Texts at once, then every message whose time has come."""
@@ -118,6 +123,17 @@ class MavlinkTelemetry:
         return sent
 
     def _text(self, severity: Severity, text: str) -> list[Transmit]:
+        """STATUSTEXT packets; of a flood the first few of each second, so that the link stays free."""
+        second = self._picture.now_ns // _SECOND_NS
+        if second != self._text_second:
+            self._text_second, self._texts = second, 0
+        if self._texts >= _TEXTS_PER_S:
+            self._held_back += 1
+            return []
+        self._texts += 1
+        if self._held_back:
+            text = f"({self._held_back} messages left out) {text}"
+            self._held_back = 0
         self._text_id = self._text_id % 0xFFFF + 1
         return [self._link.send(message) for message in telemetry.statustexts(severity, text, self._text_id)]
 

@@ -183,6 +183,15 @@ def test_long_texts_come_in_chunks() -> None:
     assert messages[0].id != 0
 
 
+def test_a_flood_of_texts_leaves_the_link_free() -> None:
+    sink, station = telemetry(), GroundStation()
+    flood: list[Output] = [Text(1_000_000_000, Severity.NOTICE, f"again {count}") for count in range(100)]
+    sent = [m for m in station.read(sink.consume(flood)) if m.get_type() == "STATUSTEXT"]
+    assert [m.text for m in sent] == [f"again {count}" for count in range(5)]
+    later = station.read(sink.consume([Text(2_000_000_000, Severity.NOTICE, "quiet")]))
+    assert "(95 messages left out) quiet" in [m.text for m in later if m.get_type() == "STATUSTEXT"]
+
+
 def test_health_and_innovations_are_shown() -> None:
     sink = telemetry()
     rejects = {Reject.CRC: 3, Reject.GATE: 2, Reject.STALE: 1}

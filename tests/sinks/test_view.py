@@ -101,6 +101,15 @@ def test_unknown_values_are_dashes() -> None:
     assert "nan" not in plain_line(shown.pictures[-1])
 
 
+def test_a_flood_of_messages_is_cut() -> None:
+    shown = Shown()
+    texts: list[Output] = [Text(0, Severity.NOTICE, f"again {count}") for count in range(100)]
+    ViewSink(shown, "main").consume(texts)
+    messages = shown.pictures[-1]["messages"]
+    assert len(messages) == 21
+    assert messages[-1] == (False, "and 80 more messages")
+
+
 def test_pictures_are_at_most_five_a_second() -> None:
     now = 0.0
     shown = Shown()
