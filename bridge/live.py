@@ -10,7 +10,7 @@ import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Final, Protocol
 
@@ -21,7 +21,7 @@ from bridge.digest import combine
 from bridge.frame import BRIDGE, Event, RawFrame
 from bridge.latency import Latency
 from bridge.outputs import Checkpoint, Health, Output, SolutionOut, Transmit
-from bridge.realtime import RealTime, no_collections
+from bridge.realtime import no_collections
 from bridge.recording import Recorder
 from bridge.recording_format import HEALTH, LATENCY
 from bridge.sources.base import Source
@@ -73,10 +73,8 @@ class Outcome:
     seconds: float
     digest: str
     digests: dict[str, str]
-    unrecorded: int
     counters: dict[str, dict[str, int]]
     latency: dict[str, dict[str, float]]
-    refused: list[str] = field(default_factory=list)
 
 
 class Live:
@@ -95,7 +93,6 @@ class Live:
         wall: WallClock,
         recorder: Recorder | None = None,
         bench: Bench | None = None,
-        real_time: RealTime | None = None,
     ) -> None:
         self._engine = engine
         self._sources = sources
@@ -105,7 +102,6 @@ class Live:
         self._wall = wall
         self._recorder = recorder
         self._bench = bench
-        self._real_time = real_time or RealTime()
         self._latency = Latency()
         self._latency_ns = 0
         self._seq = 0
@@ -118,7 +114,6 @@ class Live:
 
     def run(self, seconds: float | None = None) -> Outcome:
         """Run for ``seconds`` of the clock, until the bench has nothing more, a signal or `stop`."""
-        refused = self._real_time.apply()
         clock = self._clock
         with _signals(self), no_collections():
             start_ns = self._last_ns = self._latency_ns = clock.monotonic_ns()
@@ -128,7 +123,7 @@ class Live:
                 self._turn(end_ns)
             now_ns = clock.monotonic_ns()
             self._event(now_ns, Event.STOP, {"reason": self._stop})
-            return self._finish((now_ns - start_ns) / 1e9, refused)
+            return self._finish((now_ns - start_ns) / 1e9)
 
     def _turn(self, end_ns: int | None) -> None:
         clock, bench = self._clock, self._bench
@@ -219,7 +214,7 @@ class Live:
             elif isinstance(output, Health):
                 recorder.document(HEALTH, output.t_ns, health_document(output))
 
-    def _finish(self, seconds: float, refused: list[str]) -> Outcome:
+    def _finish(self, seconds: float) -> Outcome:
         digests = dict(self._engine.digests())
         outcome = Outcome(
             reason=self._stop or "",
@@ -227,10 +222,8 @@ class Live:
             seconds=seconds,
             digest=combine(digests),
             digests=digests,
-            unrecorded=self._recorder.unrecorded if self._recorder is not None else 0,
             counters={source.context.name: source.counters() for source in self._sources},
             latency=self._latency.summary(),
-            refused=refused,
         )
         if self._recorder is not None:
             self._recorder.finish(

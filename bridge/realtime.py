@@ -16,7 +16,10 @@ _MCL_FUTURE: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class RealTime:
-    """Options: SCHED_FIFO priority (1 to 99), the processor to stay on, memory kept from being paged out."""
+    """Options: SCHED_FIFO priority (1 to 99), the processor to stay on, memory kept from being paged out.
+
+    Priority and processor are those of the thread that calls `apply`: start helper threads before.
+    """
 
     fifo_priority: int | None = None
     cpu: int | None = None

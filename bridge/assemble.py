@@ -1,0 +1,107 @@
+"""From a configuration to a running bridge: engine, sources, sinks, recorder, and their end in order."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Final
+
+from bridge.clock import Clock, WallClock
+from bridge.config import Config
+from bridge.engine import Engine
+from bridge.live import Bench, Live, Sink
+from bridge.recording import Recorder
+from bridge.sinks import SINKS, SinkContext
+from bridge.sources import SOURCES, Source, SourceContext
+from dbc.codec import contract
+
+DBC_ATTACHMENT: Final = "navbridge.dbc"
+
+
+class Bridge:
+    """Everything one configuration needs, on one clock. A context manager that opens and closes it.
+
+    The engine is built, and its kernels are compiled, before any bus is opened. With ``out`` a capture is
+    written; ``lossless`` lets the loop wait for the disk (simulated time only), ``metadata`` is added to it.
+
+    Raises ConfigError, SourceError or CaptureError with the reason.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        clock: Clock,
+        *,
+        out: str | Path | None = None,
+        lossless: bool = False,
+        metadata: Mapping[str, str] | None = None,
+    ) -> None:
+        self.config = config
+        self.clock = clock
+        self.wall = WallClock(clock)
+        self.engine = Engine(config)
+        self.sources: list[Source] = []
+        self.sinks: list[Sink] = []
+        self.recorder: Recorder | None = None
+        self._out = out
+        self._lossless = lossless
+        self._metadata = dict(metadata or {})
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Bridge:
+        with ExitStack() as stack:
+            for name, options in self.config.sinks.items():
+                number = self.config.source_number(options.source)
+                context = SinkContext(name, number, self.engine.peers.get(number), self.config.files)
+                self.sinks.append(SINKS[options.type].factory(options, context))
+            for number, (name, source_options) in enumerate(self.config.sources.items(), start=1):
+                accept = self.engine.accept.get(number)
+                where = SourceContext(number, name, self.clock, self.wall, accept)
+                source = SOURCES[source_options.type](source_options, where)
+                source.open()
+                stack.callback(source.close)
+                self.sources.append(source)
+            if self._out is not None:
+                self.recorder = self._recorder(self._out)
+                stack.callback(self.recorder.close)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    def live(
+        self,
+        *,
+        bench: Bench | None = None,
+        sinks: Sequence[Sink] = (),
+    ) -> Live:
+        """The loop over these parts; ``sinks`` come on top of the configured ones."""
+        return Live(
+            engine=self.engine,
+            sources=self.sources,
+            sinks=[*self.sinks, *sinks],
+            clock=self.clock,
+            wall=self.wall,
+            recorder=self.recorder,
+            bench=bench,
+        )
+
+    def _recorder(self, path: str | Path) -> Recorder:
+        filters = {source.context.name: source.filters() for source in self.sources}
+        return Recorder(
+            path,
+            sources={0: "bridge", **{source.context.number: source.context.name for source in self.sources}},
+            utc_offset_ns=self.wall.offset_ns,
+            attachments={**self.config.attachments(), DBC_ATTACHMENT: contract().text},
+            metadata={"filters": json.dumps(filters), **self._metadata},
+            lossless=self._lossless,
+        )
