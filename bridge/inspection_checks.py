@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nav.types import BaroSample, GnssFix, ImuSample, OdoSample, Sample, SpeedSample, Vector
 
@@ -23,6 +24,7 @@ _SLOPE: Final = 0.25  # how far a ratio of two independent sensors may be from 1
 _WINDOW_S: Final = 1.0
 _REST_RATE: Final = 3.0 * _DEG  # rad/s, more than the bias of any gyro worth using
 _MIN_SEGMENTS: Final = 8
+_STRETCH_S: Final = 2.0
 
 UNIT_RATIOS: Final = (
     (G, "g where m/s^2 is meant"),
@@ -195,14 +197,42 @@ def check_fixes(device: str, fixes: FixColumns) -> Iterator[Finding]:
     yield from _position_against_velocity(device, fixes)
 
 
+def _stretches(fixes: FixColumns) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Fixes some seconds apart, so that the way between them is more than their noise; which pairs are whole.
+
+    A pair is whole when no fix between is missing and none of the two ends is in doubt by more than a
+    fifth of the way.
+    """
+    places = [0]
+    for place in range(1, len(fixes.t)):
+        if fixes.t[place] - fixes.t[places[-1]] >= _STRETCH_S:
+            places.append(place)
+    ends = np.array(places, dtype=np.int64)
+    if len(ends) < 2:
+        return ends, np.zeros(0, dtype=np.bool_)
+    widest = np.maximum.reduceat(np.diff(fixes.t), ends[:-1])
+    doubt = np.max(fixes.sigma_position[ends[1:], :2], axis=1)
+    return ends, (widest < 0.75 * _STRETCH_S + 1.0) & (_way(fixes, ends) > np.maximum(1.0, 5.0 * doubt))
+
+
+def _way(fixes: FixColumns, ends: NDArray[np.int64]) -> Vector:
+    """Horizontal distance between the fixes ``ends`` of one place and the next, m."""
+    north = np.diff(fixes.lat[ends]) * _EARTH
+    east = np.diff(fixes.lon[ends]) * _EARTH * np.cos(fixes.lat[ends[1:]])
+    return np.asarray(np.hypot(north, east))
+
+
 def _position_against_velocity(device: str, fixes: FixColumns) -> Iterator[Finding]:
     dt = np.diff(fixes.t)
-    mean = 0.5 * (fixes.v_g[1:] + fixes.v_g[:-1]) * dt[:, None]
-    dlat, dlon = np.diff(fixes.lat), np.diff(fixes.lon)
-    step = _EARTH * np.column_stack([dlon * np.cos(fixes.lat[1:]), dlat])
-    swapped = _EARTH * np.column_stack([dlat * np.cos(fixes.lon[1:]), dlon])
-    use = (dt > 0.0) & (dt < 2.5) & np.isfinite(mean).all(axis=1)
-    use &= np.hypot(step[:, 0], step[:, 1]) > 0.5
+    steps = 0.5 * (fixes.v_g[1:] + fixes.v_g[:-1]) * dt[:, None]
+    ends, use = _stretches(fixes)
+    if use.sum() < _MIN_SEGMENTS:
+        return
+    mean = np.add.reduceat(steps[: ends[-1]], ends[:-1])
+    dlat, dlon = np.diff(fixes.lat[ends]), np.diff(fixes.lon[ends])
+    step = _EARTH * np.column_stack([dlon * np.cos(fixes.lat[ends[1:]]), dlat])
+    swapped = _EARTH * np.column_stack([dlat * np.cos(fixes.lon[ends[1:]]), dlon])
+    use &= np.isfinite(mean).all(axis=1)
     if use.sum() < _MIN_SEGMENTS:
         return
     level = mean[use, :2]
@@ -230,7 +260,7 @@ def _position_against_velocity(device: str, fixes: FixColumns) -> Iterator[Findi
         yield Finding(
             device, f"velocity is {ratio:.3g} times the change of position, expected 1{_mistake(ratio)}"
         )
-    climb = np.diff(fixes.height)[use]
+    climb = np.diff(fixes.height[ends])[use]
     up = mean[use, 2]
     scale = float(np.sqrt(np.sum(climb**2) * np.sum(up**2)))
     # noise does not correlate: a value near -1 needs real climbing
@@ -249,12 +279,17 @@ def check_turns(device: str, imu: ImuColumns, fixes: FixColumns) -> Iterator[Fin
         return
     bias = np.median(means[0], axis=0) @ up / norm
     angle = np.cumsum(imu.dtheta @ up / norm - bias * imu.dt)
-    speed = np.hypot(fixes.v_g[:, 0], fixes.v_g[:, 1])
-    course = np.arctan2(fixes.v_g[:, 0], fixes.v_g[:, 1])
+    ends, _ = _stretches(fixes)
+    v_g, t = fixes.v_g[ends], fixes.t[ends]
+    speed = np.hypot(v_g[:, 0], v_g[:, 1])
+    course = np.arctan2(v_g[:, 0], v_g[:, 1])
     turn = np.angle(np.exp(1j * np.diff(course)))
-    turned = np.diff(np.interp(fixes.t, imu.t, angle))
-    use = (np.minimum(speed[1:], speed[:-1]) > 3.0) & (np.abs(turn) > 2.0 * _DEG) & (np.diff(fixes.t) < 2.5)
-    use &= (fixes.t[:-1] >= imu.t[0]) & (fixes.t[1:] <= imu.t[-1])
+    turned = np.diff(np.interp(t, imu.t, angle))
+    # above a right angle the turn of the course is no longer known from its ends
+    use = (
+        (np.minimum(speed[1:], speed[:-1]) > 3.0) & (np.abs(turn) > 5.0 * _DEG) & (np.abs(turn) < 90.0 * _DEG)
+    )
+    use &= (t[:-1] >= imu.t[0]) & (t[1:] <= imu.t[-1]) & (np.diff(t) < 2.0 * _STRETCH_S)
     if use.sum() < _MIN_SEGMENTS:
         return
     # course counts clockwise, the rate about the upward axis counts the other way
@@ -274,12 +309,12 @@ def check_distance(device: str, rolled: DistanceColumns, fixes: FixColumns) -> I
     """Distance by odometer or speed log against the way over ground."""
     if len(rolled.t) < 2 or len(fixes.t) < 2:
         return
-    north = np.diff(fixes.lat) * _EARTH
-    east = np.diff(fixes.lon) * _EARTH * np.cos(fixes.lat[1:])
-    way = np.hypot(north, east)
-    by_wheel = np.abs(np.diff(np.interp(fixes.t, rolled.t, rolled.distance)))
-    use = (way > 1.0) & (np.diff(fixes.t) < 2.5)
-    use &= (fixes.t[:-1] >= rolled.t[0]) & (fixes.t[1:] <= rolled.t[-1])
+    ends, use = _stretches(fixes)
+    if len(ends) < 2:
+        return
+    way, t = _way(fixes, ends), fixes.t[ends]
+    by_wheel = np.abs(np.diff(np.interp(t, rolled.t, rolled.distance)))
+    use &= (t[:-1] >= rolled.t[0]) & (t[1:] <= rolled.t[-1])
     if use.sum() < _MIN_SEGMENTS:
         return
     ratio = float(np.sum(by_wheel[use] * way[use]) / np.sum(way[use] ** 2))

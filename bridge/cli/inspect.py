@@ -77,7 +77,7 @@ def _table(title: str, left: tuple[str, ...], right: tuple[str, ...]) -> Table:
 
 
 def _streams(report: Report) -> Table:
-    table = _table("messages", ("source", "key", "message"), ("frames", "Hz", "gaps", "longest ms"))
+    table = _table("messages", ("source", "key", "message"), ("frames", "Hz", "gaps", "max ms"))
     for row in report.streams:
         table.add_row(
             row.source,
@@ -92,9 +92,9 @@ def _streams(report: Report) -> Table:
 
 
 def _devices(report: Report) -> Table:
-    right = ("samples", "Hz", "gaps", "longest ms", "missing", "bridged", "twice")
+    right = ("samples", "Hz", "gaps", "max ms", "missing", "bridged", "twice")
     table = _table("devices", ("device",), right)
-    table.add_column("rejects")
+    table.add_column("rejects", min_width=7, overflow="fold")
     for row in report.devices:
         rate = f"{row.rate_hz:.4g}" + (f" of {row.expected_hz:g}" if row.expected_hz else "")
         rejects = ", ".join(f"{name.lower()} {count}" for name, count in row.rejects.items())

@@ -302,7 +302,7 @@ def rates(data: PlotData) -> Picture | None:
             ms=2,
         )
         if gap.any():
-            axes.plot(t[gap], step[gap], "x", color=RED, markersize=6, label=f"{int(gap.sum())} gaps")
+            axes.plot(t[gap], step[gap], "x", color=RED, markersize=6, label=f"gaps: {int(gap.sum())}")
             axes.set_yscale("log")
         else:
             axes.plot([], [], " ", label="no gaps")

@@ -82,7 +82,8 @@ class Picture:
         with mpl.rc_context(_RC):
             room = 1.0 - _HEAD / inches
             self.figure = Figure(
-                figsize=(WIDTH, inches), layout=ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, room))
+                figsize=(WIDTH, inches),
+                layout=ConstrainedLayoutEngine(rect=(0.004, 0.0, 0.992, room), w_pad=0.08),
             )
             FigureCanvasAgg(self.figure)
             axes = self.figure.subplots(rows, columns, squeeze=False, **options)
@@ -153,7 +154,15 @@ def legend(axes: Axes) -> None:
     """The legend, right of the panel and never over the data."""
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        axes.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.005, 1.02), borderaxespad=0.0)
+        axes.legend(
+            handles,
+            labels,
+            loc="upper left",
+            bbox_to_anchor=(1.01, 1.02),
+            borderaxespad=0.0,
+            frameon=False,
+            fontsize=9,
+        )
 
 
 def fit(axes: Axes, *columns: Array, floor: float = 0.0, cover: float = 0.995) -> None:
