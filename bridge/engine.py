@@ -90,6 +90,7 @@ class Engine:
     def __init__(self, config: Config) -> None:
         self._now = 0
         self._next_health: int | None = None
+        self._quiet_until: dict[str, int] = {}
         self._unknown = 0
         self._dropped = 0
         self._unrecorded = 0
@@ -201,7 +202,10 @@ class Engine:
                 if reason is not None and event.device in self._drivers:
                     self._drivers[event.device].counters.reject(reason)
             case events.Notice():
-                out.append(Text(event.t_ns, Severity.NOTICE, f"{line.name}: {event.text}"))
+                # an alignment that is refused at every sample says so at every sample
+                if self._now >= self._quiet_until.get(line.name, 0):
+                    self._quiet_until[line.name] = self._now + SECOND_NS
+                    out.append(Text(self._now, Severity.NOTICE, f"{line.name}: {event.text}"))
 
     def _second(self, out: list[Output]) -> None:
         """What happens at the first frame, and then at the first of every second."""
