@@ -6,9 +6,11 @@ import argparse
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import Any, Final
 
 import can
+import msgspec
 
 from bridge.assemble import Bridge
 from bridge.cli.sim import _positive, _seed, _speed
@@ -19,10 +21,12 @@ from bridge.evaluate import SolutionTable, TruthTable, errors, summary, table, t
 from bridge.live import Outcome
 from bridge.outputs import Output, SolutionOut, Transmit
 from bridge.recording import Recorder
+from bridge.report import outcome_lines
 from bridge.view import ViewProcess, ViewSink
 from nav import rotation
 from virtual_bus import scenario
 from virtual_bus.bus import Bench, Sent
+from virtual_bus.manoeuvres import Static
 
 NAVIGATOR: Final = "main"
 CHANNEL: Final = "bench"
@@ -31,6 +35,7 @@ _TRUTH_NS: Final = 100_000_000
 _GPS_EPOCH_UNIX_S: Final = 315_964_800
 _WEEK_S: Final = 604_800
 _NS: Final = 1_000_000_000
+_SETTLE_S: Final = 5.0  # of the rest, left over for the first fixes and the catching up
 
 
 def add_parser(subparsers: Any) -> argparse.ArgumentParser:
@@ -157,17 +162,28 @@ def run(args: argparse.Namespace) -> int:
     bench.prepare()
     mavlink_url = None if args.mavlink == "none" else args.mavlink
     files = bench.files("virtual", CHANNEL, mavlink_url)
-    config = Config.from_attachments({name: text.encode() for name, text in files.items()})
-    outcome, lines = _drive(args, bench, config)
-    print(f"{outcome.reason}: {outcome.seconds:.1f} s, {outcome.frames} frames, capture {args.out}")
-    if outcome.unrecorded:
-        print(f"{outcome.unrecorded} frames could not be recorded")
-    print(*lines, sep="\n")
-    print(f"solution sha256: {outcome.digest}", flush=True)
+    config = _fitted(Config.from_attachments({name: text.encode() for name, text in files.items()}), bench)
+    outcome, unrecorded, errors_found = _drive(args, bench, config)
+    *lines, digest = outcome_lines(outcome, unrecorded)
+    print(*lines, f"capture: {args.out}", *errors_found, digest, sep="\n", flush=True)
     return _INTERRUPTED if outcome.reason.startswith("stopped by") else 0
 
 
-def _drive(args: argparse.Namespace, bench: Bench, config: Config) -> tuple[Outcome, list[str]]:
+def _fitted(config: Config, bench: Bench) -> Config:
+    """``config`` with a static alignment that ends before the vehicle of ``bench`` drives off."""
+    first = bench.scenario.manoeuvre[0]
+    options = config.navigators[NAVIGATOR]
+    if options.alignment != "static" or not isinstance(first, Static):
+        return config
+    rest_s = first.duration_s - _SETTLE_S
+    coarse_s = min(options.align.coarse_s, rest_s / 4.0)
+    fine_s = min(options.align.fine_s, rest_s - coarse_s)
+    align = msgspec.structs.replace(options.align, coarse_s=coarse_s, fine_s=fine_s)
+    fitted = msgspec.structs.replace(options, align=align)
+    return replace(config, navigators={**config.navigators, NAVIGATOR: fitted})
+
+
+def _drive(args: argparse.Namespace, bench: Bench, config: Config) -> tuple[Outcome, int, list[str]]:
     """The run itself, everything closed again at its end."""
     clock = _clock(args.speed, bench)
     metadata = {"scenario": str(args.scenario), "seed": str(args.seed), "speed": str(args.speed)}
@@ -184,7 +200,8 @@ def _drive(args: argparse.Namespace, bench: Bench, config: Config) -> tuple[Outc
             outcome = bridge.live(bench=embedded, sinks=[truth, shown]).run()
         finally:
             view.close()
-        return outcome, truth.lines()
+    unrecorded = bridge.recorder.unrecorded if bridge.recorder is not None else 0
+    return outcome, unrecorded, truth.lines()
 
 
 def _clock(speed: float, bench: Bench) -> Clock:
