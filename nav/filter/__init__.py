@@ -1,0 +1,1 @@
+"""The error-state filter: states, covariance, measurements, and the history that late data needs."""

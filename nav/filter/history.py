@@ -1,0 +1,362 @@
+"""The filter in time: increments, snapshots and measurements kept, so that late data finds its own time.
+
+Updates are numbered from 0. The ring holds the increments of the latest of them, a snapshot of state
+and covariance is kept at every sixteenth, and the log holds every measurement in the order of its time.
+A measurement that belongs before the present is entered in the log, and a second copy of the filter, the
+one at work, starts from the snapshot before it and goes through increments and log again. Meanwhile the
+live filter goes on; when the copy has caught up it takes the live one's place. What comes out is, to the
+bit, what the measurements would have given in the order of their times.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from nav.events import Innovation, NavEvent, Notice
+from nav.filter.measurements import MEASUREMENTS, Measurement, vehicle_velocity
+from nav.filter.propagate import (
+    REST_SIZE,
+    ROW_DT,
+    ROW_GAP,
+    ROW_NOISE,
+    ROW_SIZE,
+    WORK_ROWS,
+    advance,
+    replay,
+    solution_row,
+)
+from nav.filter.recovery import inflate
+from nav.filter.states import FULL, X_PATH, X_PT, X_SIZE
+from nav.types import S, Vector
+
+CAPACITY: Final = 2048
+"""Updates kept."""
+STRIDE: Final = 16
+"""Updates between snapshots."""
+_SLOTS: Final = CAPACITY // STRIDE
+_ORDER: Final = {name: place for place, name in enumerate(MEASUREMENTS)}
+_PATH: Final = len(_ORDER)  # the row of the books that holds the start of the path integral
+_OPEN: Final = float("inf")
+_NEVER: Final = -(2**62)
+
+
+class Record:
+    """One entry of the log: a measurement, or something done to the filter at a time."""
+
+    __slots__ = ("action", "key", "measurement", "recovered", "reported", "t_ns", "z")
+
+    def __init__(
+        self,
+        t_ns: int,
+        rank: int,
+        serial: int,
+        measurement: Measurement | None,
+        z: Vector,
+        action: Callable[[Filter], None] | None = None,
+    ) -> None:
+        self.t_ns = t_ns
+        self.key = (t_ns, rank, serial)
+        self.measurement = measurement
+        self.z = z
+        self.action = action
+        self.reported = False
+        self.recovered = False
+
+
+class Filter:
+    """One copy of the filter: nominal state, covariance, books, and how far it has come.
+
+    ``books`` (kinds + 1, 3) int64: per kind of measurement the time of the last accepted one, how many were
+    refused since, and the time of the first of those; last row: start of the path integral.
+    """
+
+    __slots__ = ("P", "books", "cursor", "u", "x")
+
+    def __init__(self, states: int) -> None:
+        self.x = np.zeros(X_SIZE)
+        self.P = np.zeros((states, states))
+        self.books = np.zeros((_PATH + 1, 3), dtype=np.int64)
+        self.u = 0
+        self.cursor = 0
+
+    def copy_from(self, x: Vector, P: Vector, books: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> None:
+        """Take over state, covariance and books."""
+        self.x[:] = x
+        self.P[:] = P
+        self.books[:] = books
+
+
+class Timeline:
+    """The live filter, its history, and the copy that goes back when data comes late."""
+
+    def __init__(self, states: int, par: Vector, lockout: float, replay_updates: int) -> None:
+        self.par = par
+        self.live = Filter(states)
+        self._work = Filter(states)
+        self._working = False
+        self._scratch = np.zeros((WORK_ROWS, FULL))
+        self._out = np.zeros(12)
+        self.rest = np.zeros(REST_SIZE)
+        self._ring = np.zeros((CAPACITY, ROW_SIZE))
+        self._rows = [self._ring[i] for i in range(CAPACITY)]
+        self._times = np.zeros(CAPACITY, dtype=np.int64)
+        self._snap_u = np.full(_SLOTS, -1, dtype=np.int64)
+        self._snap_x = np.zeros((_SLOTS, X_SIZE))
+        self._snap_P = np.zeros((_SLOTS, states, states))
+        self._snap_books = np.zeros((_SLOTS, _PATH + 1, 3), dtype=np.int64)
+        self._log: list[Record] = []
+        self._keys: list[tuple[int, int, int]] = []
+        self._serial = 0
+        self._lockout_ns = round(lockout * 1e9)
+        self._budget = replay_updates
+        self.t_ns = 0
+        self._begin_ns = 0
+        self.events: list[NavEvent] = []
+
+    def begin(self, t_ns: int, x: Vector, P: Vector) -> None:
+        """Start afresh at ``t_ns`` with state ``x`` (X_SIZE,) and covariance ``P`` (states, states)."""
+        live = self.live
+        live.x[:] = x
+        live.P[:] = P
+        live.books[:, 0] = t_ns
+        live.books[:, 1] = 0
+        live.books[:, 2] = _NEVER
+        live.u = 0
+        live.cursor = 0
+        self._working = False
+        self._snap_u[:] = -1
+        self._log.clear()
+        self._keys.clear()
+        self._times[0] = t_ns
+        self.t_ns = self._begin_ns = t_ns
+
+    @property
+    def behind(self) -> bool:
+        """Whether late data is still being worked in."""
+        return self._working
+
+    def last_accepted(self, kind: str) -> int:
+        """Time (ns) of the last accepted measurement of a kind; the start of navigation before any."""
+        return int(self.live.books[_ORDER[kind], 0])
+
+    def used(self, *kinds: str) -> bool:
+        """Whether a measurement of one of these kinds was ever accepted."""
+        return any(int(self.live.books[_ORDER[kind], 0]) != self._begin_ns for kind in kinds)
+
+    # ---- forward -------------------------------------------------------------------------------
+
+    def advance(
+        self, t_ns: int, dt: float, noise: float, a1: Vector, v1: Vector, a2: Vector, v2: Vector
+    ) -> Vector | None:
+        """One update over two samples; returns the solution row (S.SIZE,), None when it is not finite.
+
+        ``dt`` s over both, ``noise`` factor on the noise densities; increments (3,) in b.
+        """
+        place = self._next(t_ns, dt, 0.0, noise)
+        live = self.live
+        row = np.empty(S.SIZE)
+        good = advance(
+            live.x, live.P, self.par, self._scratch, self._rows[place], a1, v1, a2, v2, self.rest, row
+        )
+        live.u += 1
+        self.t_ns = t_ns
+        if not self._working and live.cursor < len(self._log) and self._log[live.cursor].t_ns <= t_ns:
+            self._apply_due(live, t_ns)
+            good = solution_row(live.x, live.P, self.par, self._scratch[0], row)
+        return row if good else None
+
+    def bridge(self, t_ns: int, dt: float) -> None:
+        """One update over ``dt`` seconds in which nothing was measured."""
+        place = self._next(t_ns, dt, 1.0, 1.0)
+        live = self.live
+        self._times[place] = t_ns
+        replay(live.x, live.P, self.par, self._scratch, self._ring, self._times, live.u, live.u + 1, 2**62)
+        live.u += 1
+        self.t_ns = t_ns
+        if not self._working:
+            self._apply_due(live, t_ns)
+
+    def _next(self, t_ns: int, dt: float, gap: float, noise: float) -> int:
+        live = self.live
+        if live.u % STRIDE == 0 and not self._working:
+            self._snapshot(live)
+            self._prune()
+        place = (live.u + 1) % CAPACITY
+        row = self._rows[place]
+        row[ROW_DT] = dt
+        row[ROW_GAP] = gap
+        row[ROW_NOISE] = noise
+        self._times[place] = t_ns
+        return place
+
+    def _snapshot(self, f: Filter) -> None:
+        slot = (f.u // STRIDE) % _SLOTS
+        self._snap_u[slot] = f.u
+        self._snap_x[slot] = f.x
+        self._snap_P[slot] = f.P
+        self._snap_books[slot] = f.books
+
+    def _prune(self) -> None:
+        # what is older than the oldest snapshot cannot be reached any more
+        oldest = max(0, (self.live.u - CAPACITY) // STRIDE * STRIDE + 2 * STRIDE)
+        count = bisect_left(self._keys, (int(self._times[oldest % CAPACITY]),))
+        if count > 64:
+            del self._log[:count]
+            del self._keys[:count]
+            self.live.cursor -= count
+
+    # ---- measurements --------------------------------------------------------------------------
+
+    def measure(self, kind: str, t_ns: int, z: Vector) -> bool:
+        """Enter a measurement of ``kind`` made at ``t_ns``; False when that is too long ago.
+
+        ``z`` as the kernel of `MEASUREMENTS` wants it, with ``z[0]`` left free.
+        """
+        m = MEASUREMENTS[kind]
+        return self._enter(t_ns, m.rank, m, z, None)
+
+    def act(self, t_ns: int, action: Callable[[Filter], None]) -> bool:
+        """Enter something to be done to the filter at ``t_ns``, after the measurements of that time."""
+        return self._enter(t_ns, 100, None, np.zeros(1), action)
+
+    def restart_path(self, t_ns: int) -> bool:
+        """End the path integral of the odometer point at ``t_ns`` and start the next one."""
+
+        def action(f: Filter) -> None:
+            tau = (int(self._times[f.u % CAPACITY]) - t_ns) * 1e-9
+            f.x[X_PATH : X_PATH + 3] = vehicle_velocity(f.x, self.par, 0.5 * tau) * tau
+            f.x[X_PT] = tau
+            f.books[_PATH, 0] = t_ns
+
+        return self.act(t_ns, action)
+
+    def _enter(
+        self,
+        t_ns: int,
+        rank: int,
+        measurement: Measurement | None,
+        z: Vector,
+        action: Callable[[Filter], None] | None,
+    ) -> bool:
+        self._serial += 1
+        record = Record(t_ns, rank, self._serial, measurement, z, action)
+        place = bisect_right(self._keys, record.key)
+        live = self.live
+        if t_ns > self.t_ns:
+            self._insert(place, record)
+            return True
+        if (
+            not self._working
+            and place == live.cursor
+            and t_ns > self._times[(live.u - 1) % CAPACITY]
+            and live.u > 0
+        ):
+            self._insert(place, record)
+            self._apply_due(live, self.t_ns)
+            return True
+        if self._working and place >= self._work.cursor and t_ns > self._times[self._work.u % CAPACITY]:
+            self._insert(place, record)
+            return True
+        start = self._snapshot_before(t_ns)
+        if start < 0:
+            return False
+        self._insert(place, record)
+        self._go_back(start)
+        return True
+
+    def _insert(self, place: int, record: Record) -> None:
+        self._keys.insert(place, record.key)
+        self._log.insert(place, record)
+
+    def _snapshot_before(self, t_ns: int) -> int:
+        """Newest valid snapshot's update before ``t_ns``, -1 when there is none."""
+        newest = self._work.u if self._working else self.live.u
+        u = newest // STRIDE * STRIDE
+        oldest = max(0, self.live.u + STRIDE - CAPACITY)
+        while u >= oldest:
+            if self._snap_u[(u // STRIDE) % _SLOTS] == u and self._times[u % CAPACITY] < t_ns:
+                return u
+            u -= STRIDE
+        return -1
+
+    def _go_back(self, u: int) -> None:
+        slot = (u // STRIDE) % _SLOTS
+        work = self._work
+        work.copy_from(self._snap_x[slot], self._snap_P[slot], self._snap_books[slot])
+        work.u = u
+        work.cursor = bisect_left(self._keys, (int(self._times[u % CAPACITY]) + 1,))
+        self._working = True
+
+    def catch_up(self) -> None:
+        """Work off stored updates, at most the budget; at the end the copy becomes the live one."""
+        work, live = self._work, self.live
+        budget = self._budget
+        while work.u < live.u and budget > 0:
+            if work.u % STRIDE == 0:
+                self._snapshot(work)
+            last = min(live.u, work.u + budget, work.u // STRIDE * STRIDE + STRIDE)
+            stop = self._log[work.cursor].t_ns if work.cursor < len(self._log) else 2**62
+            reached = replay(
+                work.x, work.P, self.par, self._scratch, self._ring, self._times, work.u, last, stop
+            )
+            budget -= reached - work.u
+            work.u = reached
+            now = int(self._times[reached % CAPACITY])
+            if stop <= now:
+                self._apply_due(work, now)
+                budget -= 1
+        if work.u == live.u:
+            self.live, self._work = work, live
+            self._working = False
+
+    def solution(self) -> Vector | None:
+        """The solution row (S.SIZE,) of the live filter as it is now, None when it is not finite."""
+        row = np.empty(S.SIZE)
+        good = solution_row(self.live.x, self.live.P, self.par, self._scratch[0], row)
+        return row if good else None
+
+    def _apply_due(self, f: Filter, now_ns: int) -> None:
+        log = self._log
+        while f.cursor < len(log) and log[f.cursor].t_ns <= now_ns:
+            record = log[f.cursor]
+            f.cursor += 1
+            if record.measurement is not None:
+                self._apply(f, record, record.measurement, now_ns)
+            elif record.action is not None:
+                record.action(f)
+
+    def _apply(self, f: Filter, record: Record, m: Measurement, now_ns: int) -> None:
+        z, out = record.z, self._out
+        z[0] = (now_ns - record.t_ns) * 1e-9
+        if m.name == "odometer" or m.name == "non_holonomic":
+            # the integral must cover the interval that was measured
+            start = record.t_ns - round(float(z[1]) * 1e9)
+            if abs(int(f.books[_PATH, 0]) - start) > 10_000_000 or f.x[X_PT] <= z[0]:
+                return
+        nis = m.kernel(f.x, f.P, self.par, z, m.gate, out)
+        accepted = nis <= m.gate
+        book = f.books[_ORDER[m.name]]
+        if accepted:
+            book[0], book[1], book[2] = record.t_ns, 0, _NEVER
+        else:
+            book[1] += 1
+            if book[2] == _NEVER:
+                book[2] = record.t_ns
+            shut = record.t_ns - int(book[2])
+            if book[1] >= 3 and shut >= self._lockout_ns:
+                inflate(f.P, m, out[: m.rows], shut * 1e-9)
+                m.kernel(f.x, f.P, self.par, z, _OPEN, out)
+                book[0], book[1], book[2] = record.t_ns, 0, _NEVER
+                if not record.recovered:
+                    record.recovered = True
+                    text = f"{m.name}: refused for {shut * 1e-9:.0f} s; covariance inflated, measurement used"
+                    self.events.append(Notice(record.t_ns, text))
+        if not record.reported:
+            record.reported = True
+            residual = tuple(out[: m.rows].tolist())
+            sigma = tuple(out[6 : 6 + m.rows].tolist())
+            self.events.append(Innovation(record.t_ns, m.name, residual, sigma, float(nis), accepted))

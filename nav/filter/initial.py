@@ -1,0 +1,57 @@
+"""From an alignment's hand-over to the filter's first state and covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nav import earth
+from nav import rotation as rot
+from nav.align.types import NavInit
+from nav.filter import states as st
+from nav.filter.settings import NavigatorConfig
+from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
+from nav.types import Vector
+
+_MOUNTING_FOUND = np.radians(3.0)
+
+
+def initial_state(init: NavInit, config: NavigatorConfig) -> tuple[Vector, Vector, bool]:
+    """State (X_SIZE,), covariance (N, N), and whether the mounting is known.
+
+    n starts as east-north-up. A configured mounting goes before one that the alignment found.
+    """
+    x = np.zeros(st.X_SIZE)
+    x[X_Q : X_Q + 4] = rot.quat_normalize(init.q_gb)
+    x[X_V : X_V + 3] = init.v_g
+    x[X_C : X_C + 9] = earth.position_matrix(init.lat, init.lon).ravel()
+    x[X_H] = init.height
+    x[st.X_BG : st.X_BG + 3] = init.gyro_bias
+    x[st.X_BA : st.X_BA + 3] = init.accel_bias
+
+    P = np.zeros((st.FULL, st.FULL))
+    imu = config.imu
+    d = np.zeros(st.FULL)
+    d[st.POSITION] = init.sigma_p
+    d[st.VELOCITY] = init.sigma_v
+    d[st.GYRO_BIAS] = init.sigma_gyro_bias
+    d[st.ACCEL_BIAS] = init.sigma_accel_bias
+    d[st.ODO_SCALE] = config.odometer_scale if config.odometer else 0.0
+    d[st.BARO_BIAS] = config.baro_bias
+    d[st.GYRO_SCALE] = imu.gyro_scale
+    d[st.ACCEL_SCALE] = imu.accel_scale
+    C_vb, known = config.C_vb, True
+    if C_vb is not None:
+        d[st.MOUNTING] = config.sigma_mounting
+    elif init.C_vb is not None:
+        C_vb = init.C_vb
+        sigma = init.sigma_mounting if init.sigma_mounting is not None else np.full(3, _MOUNTING_FOUND)
+        d[st.MOUNTING] = sigma[[0, 2]]
+    else:
+        C_vb, known = np.eye(3), False
+        d[st.MOUNTING] = np.pi
+    x[st.X_QV : st.X_QV + 4] = rot.quat_from_dcm(C_vb)
+    x[st.X_Q0 : st.X_Q0 + 4] = x[st.X_QV : st.X_QV + 4]
+    P[np.diag_indices(st.FULL)] = d**2
+    P[st.PHI, st.PHI] = init.P_phi
+    n = config.states
+    return x, P[:n, :n].copy(), known

@@ -1,0 +1,377 @@
+"""What can be measured, and how each measurement meets the state: the table MEASUREMENTS.
+
+Every kernel has one signature: ``kernel(x, P, par, z, gate, out) -> nis``. ``z`` is the measurement as
+documented per kernel; ``z[0]`` is always the time from the measurement to the state, s (a fraction of
+one update): the prediction is taken back by it. Residuals are computed minus measured. ``out`` (12,)
+receives residuals in 0..5 and their predicted sigmas in 6..11. When the NIS is above ``gate`` nothing
+changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nav.earth import E2, EARTH_RATE, radii
+from nav.filter.kalman import GATES, correct, update
+from nav.filter.states import (
+    P_ARW,
+    P_LG,
+    P_LO,
+    P_SLIP,
+    X_A,
+    X_BB,
+    X_BG,
+    X_F,
+    X_KO,
+    X_PATH,
+    X_PT,
+    X_QV,
+    X_W,
+)
+from nav.jit import kernel
+from nav.rotation import rotate
+from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+MeasurementKernel = Callable[[Vector, Matrix, Vector, Vector, float, Vector], float]
+
+
+@kernel
+def _finish(
+    x: Vector, P: Matrix, H: Matrix, r: Vector, R: Matrix, X: Matrix, gate: float, out: Vector
+) -> float:
+    m = r.shape[0]
+    S = np.zeros((m, m))
+    dx = np.zeros(P.shape[0])
+    nis = update(P, H, r, R, X, gate, dx, S)
+    for a in range(m):
+        out[a] = r[a]
+        out[6 + a] = np.sqrt(S[a, a])
+    if nis <= gate:
+        correct(x, dx)
+    return nis
+
+
+@kernel
+def _matrix(q: Vector) -> Matrix:
+    """Direction cosine matrix of the quaternion at ``q[0:4]``."""
+    C = np.empty((3, 3))
+    for j in range(3):
+        C[0, j], C[1, j], C[2, j] = rotate(
+            q[0], q[1], q[2], q[3], 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
+        )
+    return C
+
+
+@kernel
+def _level_noise(C: Vector, e: float, n: float, u: float) -> Matrix:
+    """Covariance in n (3, 3) of independent errors with sigmas east, north, up."""
+    cos_lat = np.hypot(C[6], C[7])
+    sa, ca = (C[6] / cos_lat, C[7] / cos_lat) if cos_lat > 1e-14 else (0.0, 1.0)
+    R = np.zeros((3, 3))
+    R[0, 0] = ca * ca * e * e + sa * sa * n * n
+    R[1, 1] = sa * sa * e * e + ca * ca * n * n
+    R[0, 1] = ca * sa * (n * n - e * e)
+    R[1, 0] = R[0, 1]
+    R[2, 2] = u * u
+    return R
+
+
+@kernel
+def _eb_rate(x: Vector) -> tuple[float, float, float]:
+    """w_eb_b: rate of b with respect to the Earth, over the last update."""
+    ix, iy, iz = rotate(
+        x[X_Q],
+        -x[X_Q + 1],
+        -x[X_Q + 2],
+        -x[X_Q + 3],
+        EARTH_RATE * x[X_C + 6],
+        EARTH_RATE * x[X_C + 7],
+        EARTH_RATE * x[X_C + 8],
+    )
+    return x[X_W] - ix, x[X_W + 1] - iy, x[X_W + 2] - iz
+
+
+@kernel
+def gnss_position(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
+    """Antenna position. ``z``: tau, Earth-fixed x, y, z (m), sigmas east, north, up (m).
+
+    Residual in n. Groves, eqs. (14.103) and (14.109) in the wander frame, with the lever arm.
+    """
+    n = P.shape[0]
+    C = x[X_C : X_C + 9]
+    _, r_n = radii(C[8])
+    h = x[X_H]
+    ex = (r_n + h) * C[2] - z[1]
+    ey = (r_n + h) * C[5] - z[2]
+    ez = ((1.0 - E2) * r_n + h) * C[8] - z[3]
+    lx, ly, lz = rotate(x[0], x[1], x[2], x[3], par[P_LG], par[P_LG + 1], par[P_LG + 2])
+    wx, wy, wz = _eb_rate(x)
+    px, py, pz = par[P_LG], par[P_LG + 1], par[P_LG + 2]
+    ux, uy, uz = rotate(x[0], x[1], x[2], x[3], wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
+    tau = z[0]
+    back = 0.5 * tau * tau
+    r = np.empty(3)
+    r[0] = C[0] * ex + C[3] * ey + C[6] * ez + lx - (x[X_V] + ux) * tau + x[X_A] * back
+    r[1] = C[1] * ex + C[4] * ey + C[7] * ez + ly - (x[X_V + 1] + uy) * tau + x[X_A + 1] * back
+    r[2] = C[2] * ex + C[5] * ey + C[8] * ez + lz - (x[X_V + 2] + uz) * tau + x[X_A + 2] * back
+    H = np.zeros((3, n))
+    for i in range(3):
+        H[i, i] = 1.0
+        H[i, 3 + i] = -tau
+    H[0, 7], H[0, 8] = -lz, ly
+    H[1, 6], H[1, 8] = lz, -lx
+    H[2, 6], H[2, 7] = -ly, lx
+    return _finish(x, P, H, r, _level_noise(C, z[4], z[5], z[6]), np.zeros((n, 3)), gate, out)
+
+
+@kernel
+def gnss_velocity(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
+    """Antenna velocity. ``z``: tau, velocity east, north, up (m/s), sigmas east, north, up (m/s).
+
+    Groves, eq. (14.104) with the lever arm's velocity.
+    """
+    n = P.shape[0]
+    C = x[X_C : X_C + 9]
+    cos_lat = np.hypot(C[6], C[7])
+    sa, ca = (C[6] / cos_lat, C[7] / cos_lat) if cos_lat > 1e-14 else (0.0, 1.0)
+    px, py, pz = par[P_LG], par[P_LG + 1], par[P_LG + 2]
+    wx, wy, wz = _eb_rate(x)
+    ux, uy, uz = rotate(x[0], x[1], x[2], x[3], wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
+    tau = z[0]
+    r = np.empty(3)
+    r[0] = x[X_V] + ux - x[X_A] * tau - (ca * z[1] + sa * z[2])
+    r[1] = x[X_V + 1] + uy - x[X_A + 1] * tau - (ca * z[2] - sa * z[1])
+    r[2] = x[X_V + 2] + uz - x[X_A + 2] * tau - z[3]
+    B = _matrix(x[X_Q : X_Q + 4])
+    H = np.zeros((3, n))
+    for i in range(3):
+        H[i, 3 + i] = 1.0
+        # C [l x]: a bias turns the lever arm
+        H[i, 9] = B[i, 1] * pz - B[i, 2] * py
+        H[i, 10] = B[i, 2] * px - B[i, 0] * pz
+        H[i, 11] = B[i, 0] * py - B[i, 1] * px
+    H[0, 7], H[0, 8] = -uz, uy
+    H[1, 6], H[1, 8] = uz, -ux
+    H[2, 6], H[2, 7] = -uy, ux
+    return _finish(x, P, H, r, _level_noise(C, z[4], z[5], z[6]), np.zeros((n, 3)), gate, out)
+
+
+@kernel
+def _vehicle_row(x: Vector, par: Vector, axis: int, u: Vector, age: float, H: Matrix, row: int) -> None:
+    """Row of H for the odometer point's velocity along one axis of v, ``age`` seconds ago.
+
+    ``u`` (3,) is that velocity in v. ``du = C_vn (dv + phi x v) + C_vb (l x db) + u x mu``.
+    """
+    Cv = _matrix(x[X_QV : X_QV + 4])
+    Cb = _matrix(x[X_Q : X_Q + 4])
+    vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
+    fx, fy, fz = rotate(x[0], x[1], x[2], x[3], x[X_F], x[X_F + 1], x[X_F + 2])
+    lx, ly, lz = par[P_LO], par[P_LO + 1], par[P_LO + 2]
+    c0 = Cv[axis, 0] * Cb[0, 0] + Cv[axis, 1] * Cb[0, 1] + Cv[axis, 2] * Cb[0, 2]
+    c1 = Cv[axis, 0] * Cb[1, 0] + Cv[axis, 1] * Cb[1, 1] + Cv[axis, 2] * Cb[1, 2]
+    c2 = Cv[axis, 0] * Cb[2, 0] + Cv[axis, 1] * Cb[2, 1] + Cv[axis, 2] * Cb[2, 2]
+    H[row, 3], H[row, 4], H[row, 5] = c0, c1, c2
+    # dv was smaller by (f x phi - C dba) age; and c . (phi x v) = phi . (v x c)
+    H[row, 6] = vy * c2 - vz * c1 - age * (c1 * fz - c2 * fy)
+    H[row, 7] = vz * c0 - vx * c2 - age * (c2 * fx - c0 * fz)
+    H[row, 8] = vx * c1 - vy * c0 - age * (c0 * fy - c1 * fx)
+    H[row, 9] = Cv[axis, 1] * lz - Cv[axis, 2] * ly
+    H[row, 10] = Cv[axis, 2] * lx - Cv[axis, 0] * lz
+    H[row, 11] = Cv[axis, 0] * ly - Cv[axis, 1] * lx
+    for k in range(3):
+        H[row, 12 + k] = age * Cv[axis, k]
+    if axis == 0:
+        H[row, 17] = u[1]
+    elif axis == 1:
+        H[row, 16] = u[2]
+        H[row, 17] = -u[0]
+    else:
+        H[row, 16] = -u[1]
+
+
+@kernel
+def vehicle_velocity(x: Vector, par: Vector, tau: float) -> Vector:
+    """Velocity (3,) of the odometer point in v, ``tau`` seconds before the state's time."""
+    wx, wy, wz = _eb_rate(x)
+    lx, ly, lz = par[P_LO], par[P_LO + 1], par[P_LO + 2]
+    bx, by, bz = rotate(
+        x[X_Q],
+        -x[X_Q + 1],
+        -x[X_Q + 2],
+        -x[X_Q + 3],
+        x[X_V] - x[X_A] * tau,
+        x[X_V + 1] - x[X_A + 1] * tau,
+        x[X_V + 2] - x[X_A + 2] * tau,
+    )
+    u = np.empty(3)
+    u[0], u[1], u[2] = rotate(
+        x[X_QV],
+        x[X_QV + 1],
+        x[X_QV + 2],
+        x[X_QV + 3],
+        bx + wy * lz - wz * ly,
+        by + wz * lx - wx * lz,
+        bz + wx * ly - wy * lx,
+    )
+    return u
+
+
+@kernel
+def _mean_velocity(x: Vector, par: Vector, tau: float) -> Vector:
+    """Mean velocity (3,) of the odometer point in v since the last odometer epoch, up to tau ago."""
+    u = vehicle_velocity(x, par, 0.5 * tau)
+    t = x[X_PT] - tau
+    for k in range(3):
+        u[k] = (x[X_PATH + k] - u[k] * tau) / t
+    return u
+
+
+@kernel
+def odometer(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
+    """Distance since the last odometer epoch. ``z``: tau, duration (s), distance (m), sigma (m/s)."""
+    n = P.shape[0]
+    u = _mean_velocity(x, par, z[0])
+    speed = z[2] / z[1]
+    r = np.empty(1)
+    r[0] = u[1] - (1.0 + x[X_KO]) * speed
+    H = np.zeros((1, n))
+    _vehicle_row(x, par, 1, u, 0.5 * z[1] + z[0], H, 0)
+    H[0, 15] = -speed
+    R = np.full((1, 1), z[3] * z[3])
+    return _finish(x, P, H, r, R, np.zeros((n, 1)), gate, out)
+
+
+@kernel
+def speed(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
+    """Forward speed at one instant. ``z``: tau, speed (m/s), sigma (m/s)."""
+    n = P.shape[0]
+    u = vehicle_velocity(x, par, z[0])
+    r = np.empty(1)
+    r[0] = u[1] - (1.0 + x[X_KO]) * z[1]
+    H = np.zeros((1, n))
+    _vehicle_row(x, par, 1, u, z[0], H, 0)
+    H[0, 15] = -z[1]
+    R = np.full((1, 1), z[2] * z[2])
+    return _finish(x, P, H, r, R, np.zeros((n, 1)), gate, out)
+
+
+@kernel
+def non_holonomic(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
+    """Wheels neither slide sideways nor leave the road. ``z``: tau, duration (s), sigma (m/s).
+
+    Mean velocity of the odometer point along right and up of v is zero; in a turn the sigma across
+    grows with lateral acceleration (tyres slip). Groves, section 15.4.1.
+    """
+    n = P.shape[0]
+    u = _mean_velocity(x, par, z[0])
+    r = np.empty(2)
+    r[0] = u[0]
+    r[1] = u[2]
+    H = np.zeros((2, n))
+    _vehicle_row(x, par, 0, u, 0.5 * z[1] + z[0], H, 0)
+    _vehicle_row(x, par, 2, u, 0.5 * z[1] + z[0], H, 1)
+    _, _, wz = rotate(x[X_QV], x[X_QV + 1], x[X_QV + 2], x[X_QV + 3], x[X_W], x[X_W + 1], x[X_W + 2])
+    slip = par[P_SLIP] * u[1] * wz
+    R = np.zeros((2, 2))
+    R[0, 0] = z[2] * z[2] + slip * slip
+    R[1, 1] = z[2] * z[2]
+    return _finish(x, P, H, r, R, np.zeros((n, 2)), gate, out)
+
+
+@kernel
+def zero_velocity(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
+    """The vehicle stands. ``z``: tau, sigma (m/s). Groves, section 15.3.1."""
+    n = P.shape[0]
+    r = np.empty(3)
+    H = np.zeros((3, n))
+    R = np.zeros((3, 3))
+    for i in range(3):
+        r[i] = x[X_V + i]
+        H[i, 3 + i] = 1.0
+        R[i, i] = z[1] * z[1]
+    return _finish(x, P, H, r, R, np.zeros((n, 3)), gate, out)
+
+
+@kernel
+def zero_rate(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
+    """The vehicle does not turn. ``z``: tau, duration (s), mean raw rate in b (3, rad/s), sigma (rad/s).
+
+    The mean gyro rate less Earth rate is bias and noise; the same noise turned the attitude, so the
+    residual's noise is correlated with phi: its covariance is minus C_nb times the random walk squared.
+    """
+    n = P.shape[0]
+    B = _matrix(x[X_Q : X_Q + 4])
+    ex, ey, ez = EARTH_RATE * x[X_C + 6], EARTH_RATE * x[X_C + 7], EARTH_RATE * x[X_C + 8]
+    walk = par[P_ARW] * par[P_ARW]
+    r = np.empty(3)
+    H = np.zeros((3, n))
+    R = np.zeros((3, 3))
+    X = np.zeros((n, 3))
+    for i in range(3):
+        r[i] = z[2 + i] - x[X_BG + i] - (B[0, i] * ex + B[1, i] * ey + B[2, i] * ez)
+        H[i, 6] = B[1, i] * ez - B[2, i] * ey
+        H[i, 7] = B[2, i] * ex - B[0, i] * ez
+        H[i, 8] = B[0, i] * ey - B[1, i] * ex
+        H[i, 9 + i] = -1.0
+        R[i, i] = walk / z[1] + z[5] * z[5]
+        for k in range(3):
+            X[6 + k, i] = -B[k, i] * walk
+    return _finish(x, P, H, r, R, X, gate, out)
+
+
+@kernel
+def barometer(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
+    """Pressure altitude, with a bias that wanders with the weather. ``z``: tau, altitude (m), sigma (m)."""
+    n = P.shape[0]
+    r = np.empty(1)
+    r[0] = x[X_H] - x[X_V + 2] * z[0] + x[X_BB] - z[1]
+    H = np.zeros((1, n))
+    H[0, 2] = 1.0
+    H[0, 5] = -z[0]
+    H[0, 18] = 1.0
+    R = np.full((1, 1), z[2] * z[2])
+    return _finish(x, P, H, r, R, np.zeros((n, 1)), gate, out)
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One kind of measurement.
+
+    ``rank`` orders measurements of one instant, ``rows`` is the number of its residuals. When its gate
+    has been shut for too long, the variances of ``recover`` states grow (see `nav.filter.recovery`).
+    """
+
+    name: str
+    rank: int
+    rows: int
+    kernel: MeasurementKernel
+    recover: tuple[slice, ...]
+
+    @property
+    def gate(self) -> float:
+        """Largest NIS that is accepted."""
+        return GATES[self.rows]
+
+
+_P, _V, _PHI = slice(0, 3), slice(3, 6), slice(6, 9)
+
+MEASUREMENTS: Final[dict[str, Measurement]] = {
+    m.name: m
+    for m in (
+        Measurement("gnss_position", 0, 3, gnss_position, (_P,)),
+        Measurement("gnss_velocity", 1, 3, gnss_velocity, (_V, slice(8, 9))),
+        Measurement("barometer", 2, 1, barometer, (slice(18, 19),)),
+        Measurement("odometer", 3, 1, odometer, (slice(15, 16),)),
+        Measurement("speed", 4, 1, speed, (slice(15, 16),)),
+        Measurement("non_holonomic", 5, 2, non_holonomic, (slice(16, 18),)),
+        Measurement("zero_velocity", 6, 3, zero_velocity, (_V,)),
+        Measurement("zero_rate", 7, 3, zero_rate, (slice(9, 12),)),
+    )
+}

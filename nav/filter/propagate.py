@@ -1,0 +1,274 @@
+"""One navigation update with its covariance, and the solution row: the hot kernels."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nav.earth import EARTH_RATE, gravity_north, normal_gravity, radii
+from nav.filter.covariance import predict
+from nav.filter.states import (
+    P_GAP_A,
+    P_GAP_W,
+    P_LO,
+    P_LP,
+    X_A,
+    X_BA,
+    X_BB,
+    X_BG,
+    X_F,
+    X_KO,
+    X_PATH,
+    X_PT,
+    X_Q0,
+    X_QV,
+    X_SA,
+    X_SG,
+    X_W,
+)
+from nav.jit import kernel
+from nav.rotation import logarithm, multiply, rotate
+from nav.strapdown.kernels import M_C, M_EN, M_IE, M_V, X_C, X_H, X_Q, X_V, strapdown
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+# Places in a row of the increment ring.
+ROW_DT: Final = 12
+ROW_GAP: Final = 13  # 1: nothing was measured over this interval
+ROW_NOISE: Final = 14  # factor on the noise densities of velocity and phi
+ROW_SIZE: Final = 15
+
+REST_SIZE: Final = 10
+
+WORK_ROWS: Final = 20
+"""Rows of the scratch matrix (WORK_ROWS, FULL) that the kernels share."""
+
+
+@kernel
+def propagate(x: Vector, P: Matrix, par: Vector, work: Matrix, row: Vector) -> None:
+    """Nominal state ``x`` and covariance ``P`` through one row of the increment ring, in place.
+
+    A row holds raw increments of two samples (dtheta 1, dtheta 2, dv 1, dv 2), duration, gap flag and
+    noise factor. Biases and scale factors are taken out here. Over a gap the vehicle is taken to keep
+    velocity and attitude, with the uncertainty of the rates and accelerations that may have passed.
+    """
+    dt = row[ROW_DT]
+    half = 0.5 * dt
+    d = work[18]
+    mid = work[19]
+    extra_v = 0.0
+    extra_phi = 0.0
+    if row[ROW_GAP] != 0.0:
+        ex, ey, ez, h = x[X_C + 6], x[X_C + 7], x[X_C + 8], x[X_H]
+        north = gravity_north(ez, 1.0, h)
+        wx, wy, wz = rotate(x[0], -x[1], -x[2], -x[3], EARTH_RATE * ex, EARTH_RATE * ey, EARTH_RATE * ez)
+        ax, ay, az = rotate(x[0], -x[1], -x[2], -x[3], -north * ex, -north * ey, normal_gravity(ez, h))
+        for i in range(2):
+            d[3 * i], d[3 * i + 1], d[3 * i + 2] = wx * half, wy * half, wz * half
+            d[6 + 3 * i], d[7 + 3 * i], d[8 + 3 * i] = ax * half, ay * half, az * half
+        extra_v = par[P_GAP_A] * par[P_GAP_A] * dt
+        extra_phi = par[P_GAP_W] * par[P_GAP_W] * dt
+    else:
+        for i in range(3):
+            bg, ba = x[X_BG + i] * half, x[X_BA + i] * half
+            sg, sa = 1.0 / (1.0 + x[X_SG + i]), 1.0 / (1.0 + x[X_SA + i])
+            d[i] = (row[i] - bg) * sg
+            d[3 + i] = (row[3 + i] - bg) * sg
+            d[6 + i] = (row[6 + i] - ba) * sa
+            d[9 + i] = (row[9 + i] - ba) * sa
+    vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
+    strapdown(x, d, dt, mid)
+    for i in range(3):
+        x[X_W + i] = (d[i] + d[3 + i]) / dt
+        x[X_F + i] = (d[6 + i] + d[9 + i]) / dt
+    x[X_A], x[X_A + 1], x[X_A + 2] = (x[X_V] - vx) / dt, (x[X_V + 1] - vy) / dt, (x[X_V + 2] - vz) / dt
+
+    # path of the odometer point in v
+    c = mid[M_C : M_C + 9]
+    ux, uy, uz = mid[M_V], mid[M_V + 1], mid[M_V + 2]
+    ix, iy, iz = mid[M_IE] + mid[M_EN], mid[M_IE + 1] + mid[M_EN + 1], mid[M_IE + 2] + mid[M_EN + 2]
+    wx = x[X_W] - (c[0] * ix + c[3] * iy + c[6] * iz)
+    wy = x[X_W + 1] - (c[1] * ix + c[4] * iy + c[7] * iz)
+    wz = x[X_W + 2] - (c[2] * ix + c[5] * iy + c[8] * iz)
+    lx, ly, lz = par[P_LO], par[P_LO + 1], par[P_LO + 2]
+    bx = c[0] * ux + c[3] * uy + c[6] * uz + wy * lz - wz * ly
+    by = c[1] * ux + c[4] * uy + c[7] * uz + wz * lx - wx * lz
+    bz = c[2] * ux + c[5] * uy + c[8] * uz + wx * ly - wy * lx
+    bx, by, bz = rotate(x[X_QV], x[X_QV + 1], x[X_QV + 2], x[X_QV + 3], bx, by, bz)
+    x[X_PATH] += bx * dt
+    x[X_PATH + 1] += by * dt
+    x[X_PATH + 2] += bz * dt
+    x[X_PT] += dt
+
+    predict(P, mid, x[X_W : X_W + 3], x[X_F : X_F + 3], dt, par, row[ROW_NOISE], extra_v, extra_phi, work)
+
+
+@kernel
+def replay(
+    x: Vector,
+    P: Matrix,
+    par: Vector,
+    work: Matrix,
+    ring: Matrix,
+    times: NDArray[np.int64],
+    first: int,
+    last: int,
+    stop_ns: int,
+) -> int:
+    """Propagate through updates ``first + 1`` to ``last`` of the ring; returns the update reached.
+
+    Stops early at the first update whose time in ``times`` is not before ``stop_ns``.
+    """
+    capacity = ring.shape[0]
+    u = first
+    while u < last:
+        u += 1
+        propagate(x, P, par, work, ring[u % capacity])
+        if times[u % capacity] >= stop_ns:
+            break
+    return u
+
+
+@kernel
+def _sigma(P: Matrix, first: int, a: float, b: float, c: float) -> float:
+    """Standard deviation of a combination (a, b, c) of three neighbouring states."""
+    i, j, k = first, first + 1, first + 2
+    v = a * a * P[i, i] + b * b * P[j, j] + c * c * P[k, k]
+    v += 2.0 * (a * b * P[i, j] + a * c * P[i, k] + b * c * P[j, k])
+    return float(np.sqrt(max(v, 0.0)))
+
+
+@kernel
+def solution_row(x: Vector, P: Matrix, par: Vector, h: Vector, out: Vector) -> bool:
+    """Fill ``out`` (S.SIZE,) with the solution of the output point in vehicle axes, layout `nav.types.S`.
+
+    ``h`` (FULL,) is scratch. Returns False when anything in it is not finite.
+    """
+    C = x[X_C : X_C + 9]
+    qw, qx, qy, qz = x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3]
+    # sine and cosine of wander; at a pole any azimuth will do
+    cos_lat = np.hypot(C[6], C[7])
+    sa, ca = (C[6] / cos_lat, C[7] / cos_lat) if cos_lat > 1e-14 else (0.0, 1.0)
+    lat = np.arctan2(C[8], cos_lat)
+    lon = np.arctan2(C[5], C[2])
+    height = x[X_H]
+    vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
+    px, py, pz = par[P_LP], par[P_LP + 1], par[P_LP + 2]
+    ax, ay, az = 0.0, 0.0, 0.0
+    ux, uy, uz = 0.0, 0.0, 0.0
+    if px != 0.0 or py != 0.0 or pz != 0.0:
+        ax, ay, az = rotate(qw, qx, qy, qz, px, py, pz)
+        ix, iy, iz = rotate(qw, -qx, -qy, -qz, EARTH_RATE * C[6], EARTH_RATE * C[7], EARTH_RATE * C[8])
+        wx, wy, wz = x[X_W] - ix, x[X_W + 1] - iy, x[X_W + 2] - iz
+        ux, uy, uz = rotate(qw, qx, qy, qz, wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
+        vx, vy, vz = vx + ux, vy + uy, vz + uz
+        r_m, r_n = radii(C[8])
+        lat += (sa * ax + ca * ay) / (r_m + height)
+        if cos_lat > 1e-14:
+            lon += (ca * ax - sa * ay) / ((r_n + height) * cos_lat)
+        height += az
+    out[0], out[1], out[2] = lat, lon, height
+    out[3], out[4], out[5] = ca * vx - sa * vy, sa * vx + ca * vy, vz
+
+    vw, vi, vj, vk = x[X_QV], x[X_QV + 1], x[X_QV + 2], x[X_QV + 3]
+    nw, ni, nj, nk = multiply(qw, qx, qy, qz, vw, -vi, -vj, -vk)
+    # q_gn is the turn by wander about up
+    half_c = np.sqrt(max(0.0, 0.5 * (1.0 + ca)))
+    half_s = 0.5 * sa / half_c if half_c > 1e-8 else 1.0
+    gw, gi, gj, gk = multiply(half_c, 0.0, 0.0, half_s, nw, ni, nj, nk)
+    norm = 1.0 / np.sqrt(gw * gw + gi * gi + gj * gj + gk * gk)
+    if gw < 0.0:
+        norm = -norm
+    out[6], out[7], out[8], out[9] = gw * norm, gi * norm, gj * norm, gk * norm
+    out[10], out[11], out[12] = rotate(vw, vi, vj, vk, x[X_W], x[X_W + 1], x[X_W + 2])
+    out[13], out[14], out[15] = rotate(vw, vi, vj, vk, x[X_F], x[X_F + 1], x[X_F + 2])
+
+    # sigmas east, north, up of the output point: position and velocity with the lever arm's share of
+    # phi, attitude with the mounting's share
+    m0x, m0y, m0z = rotate(nw, ni, nj, nk, 1.0, 0.0, 0.0)
+    m1x, m1y, m1z = rotate(nw, ni, nj, nk, 0.0, 0.0, 1.0)
+    for axis in range(3):
+        ex, ey, ez = 0.0, 0.0, 1.0
+        if axis == 0:
+            ex, ey, ez = ca, -sa, 0.0
+        elif axis == 1:
+            ex, ey, ez = sa, ca, 0.0
+        for kind in range(2):
+            o = 3 * kind
+            lx, ly, lz = (ax, ay, az) if kind == 0 else (ux, uy, uz)
+            # e . (dp + l x phi) = e . dp + (e x l) . phi
+            h[0], h[1], h[2] = ey * lz - ez * ly, ez * lx - ex * lz, ex * ly - ey * lx
+            s = _sigma(P, o, ex, ey, ez) ** 2
+            for i in range(3):
+                e = ex if i == 0 else (ey if i == 1 else ez)
+                for j in range(3):
+                    s += 2.0 * e * h[j] * P[o + i, 6 + j] + h[i] * h[j] * P[6 + i, 6 + j]
+            out[16 + o + axis] = np.sqrt(max(s, 0.0))
+        s = _sigma(P, 6, ex, ey, ez) ** 2
+        a, b = ex * m0x + ey * m0y + ez * m0z, ex * m1x + ey * m1y + ez * m1z
+        s += a * a * P[16, 16] + 2.0 * a * b * P[16, 17] + b * b * P[17, 17]
+        for i in range(3):
+            e = ex if i == 0 else (ey if i == 1 else ez)
+            s -= 2.0 * e * (a * P[6 + i, 16] + b * P[6 + i, 17])
+        out[22 + axis] = np.sqrt(max(s, 0.0))
+    for i in range(3):
+        out[25 + i] = x[X_BG + i]
+        out[28 + i] = x[X_BA + i]
+        out[35 + i] = np.sqrt(max(P[9 + i, 9 + i], 0.0))
+        out[38 + i] = np.sqrt(max(P[12 + i, 12 + i], 0.0))
+    out[31] = x[X_KO]
+    dw, di, dj, dk = multiply(vw, vi, vj, vk, x[X_Q0], -x[X_Q0 + 1], -x[X_Q0 + 2], -x[X_Q0 + 3])
+    pitch, _, left = logarithm(dw, di, dj, dk)
+    out[32], out[33] = pitch, -left
+    out[34] = x[X_BB]
+    out[41] = np.sqrt(max(P[15, 15], 0.0))
+    out[42] = np.sqrt(max(P[16, 16], 0.0))
+    out[43] = np.sqrt(max(P[17, 17], 0.0))
+    out[44] = np.sqrt(max(P[18, 18], 0.0))
+    total = 0.0
+    for i in range(45):
+        total += out[i]
+    for i in range(P.shape[0]):
+        total += P[i, i]
+    return bool(np.isfinite(total))
+
+
+@kernel
+def advance(
+    x: Vector,
+    P: Matrix,
+    par: Vector,
+    work: Matrix,
+    row: Vector,
+    a1: Vector,
+    v1: Vector,
+    a2: Vector,
+    v2: Vector,
+    rest: Vector,
+    out: Vector,
+) -> bool:
+    """Store two samples in ``row``, propagate through them, fill ``out``; False when not finite.
+
+    ``a1, a2`` (3,) rad and ``v1, v2`` (3,) m/s; duration, gap and noise are in ``row`` already.
+    ``rest`` (REST_SIZE,) gathers sums for the detection of standstill: duration, updates, increments of
+    angle and velocity (3 + 3), sums of squared rates and specific forces (over all axes).
+    """
+    for i in range(3):
+        row[i] = a1[i]
+        row[3 + i] = a2[i]
+        row[6 + i] = v1[i]
+        row[9 + i] = v2[i]
+    dt = row[ROW_DT]
+    rest[0] += dt
+    rest[1] += 1.0
+    for i in range(3):
+        a, v = a1[i] + a2[i], v1[i] + v2[i]
+        rest[2 + i] += a
+        rest[5 + i] += v
+        rest[8] += a * a / (dt * dt)
+        rest[9] += v * v / (dt * dt)
+    propagate(x, P, par, work, row)
+    return solution_row(x, P, par, work[0], out)

@@ -1,0 +1,37 @@
+"""When a gate has refused a measurement for long, the filter is the one that is wrong.
+
+The variances that the measurement speaks about grow until its residual is within one sigma. A diagonal
+addition keeps the covariance positive and its correlations honest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nav.filter.measurements import Measurement
+from nav.types import Vector
+
+
+def inflate(P: Vector, measurement: Measurement, residual: Vector, elapsed: float) -> None:
+    """Add to the covariance ``P`` (N, N) what ``residual`` (rows,) shows that it lacks.
+
+    ``elapsed`` s: for how long the gate was shut. A position that went wrong by r in that time was
+    moved by a velocity of about r / elapsed, which is added too.
+    """
+    size = float(np.sqrt(np.mean(np.square(residual))))
+    for part in measurement.recover:
+        for i in range(part.start, part.stop):
+            if measurement.name == "gnss_velocity" and i == 8:
+                # a wrong heading shows as a velocity error across; up to one radian
+                P[i, i] += min(1.0, size / 10.0) ** 2
+            elif measurement.name == "non_holonomic":
+                P[i, i] += min(0.2, size / 10.0) ** 2
+            elif measurement.name == "zero_rate":
+                P[i, i] += size**2
+            elif measurement.rows == 3:
+                P[i, i] += max(size, abs(float(residual[i - part.start]))) ** 2
+            else:
+                P[i, i] += min(0.05, size / 10.0) ** 2 if part.start == 15 else size**2
+    if measurement.name == "gnss_position":
+        for i in range(3, 6):
+            P[i, i] += (size / max(elapsed, 1.0)) ** 2

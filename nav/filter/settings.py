@@ -1,0 +1,153 @@
+"""What a navigator is told about its sensors, its vehicle and its patience; SI units throughout."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nav.align.types import AlignConfig
+from nav.filter import states as st
+from nav.types import Vector
+
+
+def _zero() -> Vector:
+    return np.zeros(3)
+
+
+@dataclass(frozen=True, slots=True)
+class ImuErrors:
+    """Errors of the inertial sensors that are left after compensation, one sigma.
+
+    ``angle_random_walk`` rad/sqrt(s), ``velocity_random_walk`` m/s/sqrt(s). ``gyro_bias`` rad/s and
+    ``accel_bias`` m/s^2: constant part where an alignment does not say better. ``gyro_instability``
+    and ``accel_instability``: steady sigma of the part that wanders with the correlation times
+    ``gyro_bias_time`` and ``accel_bias_time``, s. ``gyro_scale``, ``accel_scale`` (1): scale-factor
+    errors; zero for both leaves them out of the filter.
+    """
+
+    angle_random_walk: float
+    velocity_random_walk: float
+    gyro_bias: float
+    accel_bias: float
+    gyro_instability: float = 0.0
+    accel_instability: float = 0.0
+    gyro_bias_time: float = 600.0
+    accel_bias_time: float = 600.0
+    gyro_scale: float = 0.0
+    accel_scale: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NavigatorConfig:
+    """Configuration of one navigator.
+
+    Lever arms (3,) m go from the IMU to the point, in b. ``C_vb`` (3, 3) takes b to v; None has it found.
+    ``sigma_mounting`` (rad) is how far a given C_vb is to be trusted in pitch and heading.
+
+    ``gnss_timeout``, ``odometer_timeout``, ``barometer_timeout`` (s): after that long without an accepted
+    measurement the navigator is DEGRADED; None: the aid is not counted on. ``odometer`` says that odometer
+    samples will come. Other times in s, sigmas in SI units:
+
+    - ``gnss_position_floor``, ``gnss_velocity_floor``: least sigmas of a fix
+    - ``gnss_velocity_age``: the velocity of a fix holds this long before its position (filtered or
+      differenced velocities lag)
+    - ``odometer_interval``: ticks are gathered this long; ``odometer_sigma`` m/s, ``odometer_quantum`` m
+      per tick; ``odometer_scale`` initial sigma
+    - ``non_holonomic``: sigma m/s of the velocity across, None switches the constraint off;
+      ``slip`` s: its growth per lateral acceleration; ``non_holonomic_interval``
+    - ``zero_velocity`` sigma m/s, None: off; ``zero_rate`` rad/s sigma added to the white noise, None: off
+    - ``rest_gyro`` rad/s, ``rest_accel`` m/s^2: standard deviations over updates below which an IMU stands
+      still, ``rest_speed`` m/s: and the speed; ``rest_interval``: over how long
+    - ``baro_bias`` m initial sigma, ``baro_wander`` m/sqrt(s)
+    - ``gap_limit``: a longer silence of the IMU ends navigation; ``gap_rate`` rad/s and ``gap_accel`` m/s^2
+      may pass unseen in a shorter one
+    - ``lockout``: a measurement refused for this long is believed after all, with inflated covariance
+    - ``heading_limit`` rad: sigma below which the heading is called valid
+    - ``replay_updates``: most stored updates that one call works off
+    - ``align``: what the alignment needs beyond this; None: its own defaults
+    """
+
+    imu: ImuErrors
+    alignment: str = "static"
+    C_vb: Vector | None = field(default_factory=lambda: np.eye(3))
+    sigma_mounting: float = 0.0
+    gnss_lever_arm: Vector = field(default_factory=_zero)
+    odometer_lever_arm: Vector = field(default_factory=_zero)
+    output_point: Vector = field(default_factory=_zero)
+    odometer: bool = False
+    gnss_timeout: float | None = None
+    odometer_timeout: float | None = None
+    barometer_timeout: float | None = None
+    gnss_position_floor: float = 0.005
+    gnss_velocity_floor: float = 0.005
+    gnss_velocity_age: float = 0.0
+    odometer_interval: float = 0.2
+    odometer_sigma: float = 0.03
+    odometer_quantum: float = 0.0
+    odometer_scale: float = 0.01
+    odometer_scale_walk: float = 1e-5
+    non_holonomic: float | None = None
+    non_holonomic_interval: float = 0.2
+    slip: float = 0.01
+    mounting_walk: float = 1e-6
+    zero_velocity: float | None = 0.01
+    zero_rate: float | None = None
+    rest_gyro: float = 0.01
+    rest_accel: float = 0.15
+    rest_speed: float = 0.5
+    rest_interval: float = 0.5
+    baro_bias: float = 30.0
+    baro_wander: float = 0.05
+    gap_limit: float = 3.0
+    gap_rate: float = 0.5
+    gap_accel: float = 3.0
+    lockout: float = 3.0
+    heading_limit: float = math.radians(10.0)
+    replay_updates: int = 64
+    align: AlignConfig | None = None
+
+    @property
+    def states(self) -> int:
+        """Number of error states of the filter."""
+        return st.FULL if self.imu.gyro_scale or self.imu.accel_scale else st.BASIC
+
+
+def align_config(config: NavigatorConfig) -> AlignConfig:
+    """The alignment's configuration."""
+    if config.align is not None:
+        return config.align
+    imu = config.imu
+    return AlignConfig(
+        gyro_bias=math.hypot(imu.gyro_bias, imu.gyro_instability),
+        accel_bias=math.hypot(imu.accel_bias, imu.accel_instability),
+        angle_random_walk=imu.angle_random_walk,
+        velocity_random_walk=imu.velocity_random_walk,
+        gnss_lever_arm=config.gnss_lever_arm,
+        C_vb=config.C_vb,
+    )
+
+
+def parameters(config: NavigatorConfig) -> Vector:
+    """The parameter vector (P_SIZE,) of the kernels."""
+    p = np.zeros(st.P_SIZE)
+    p[st.P_LG : st.P_LG + 3] = config.gnss_lever_arm
+    p[st.P_LO : st.P_LO + 3] = config.odometer_lever_arm
+    p[st.P_LP : st.P_LP + 3] = config.output_point
+    p[st.P_SLIP] = config.slip
+    p[st.P_GAP_W] = config.gap_rate
+    p[st.P_GAP_A] = config.gap_accel
+    imu = config.imu
+    p[st.P_ARW] = imu.angle_random_walk
+    q = p[st.P_Q : st.P_Q + st.FULL]
+    q[st.VELOCITY] = imu.velocity_random_walk**2
+    q[st.PHI] = imu.angle_random_walk**2
+    # a bias is a constant and a part that wanders; one state for both must not decay, so the wandering
+    # part is the random walk that a Markov process of that steady sigma is in the short run
+    q[st.GYRO_BIAS] = 2.0 * imu.gyro_instability**2 / imu.gyro_bias_time
+    q[st.ACCEL_BIAS] = 2.0 * imu.accel_instability**2 / imu.accel_bias_time
+    q[st.ODO_SCALE] = config.odometer_scale_walk**2
+    q[st.MOUNTING] = config.mounting_walk**2 if config.C_vb is None or config.sigma_mounting > 0.0 else 0.0
+    q[st.BARO_BIAS] = config.baro_wander**2
+    return p

@@ -1,0 +1,76 @@
+"""Is the vehicle at rest? From the odometer where there is one, else from a quiet IMU and a low speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nav.filter.settings import NavigatorConfig
+from nav.types import OdoSample, Vector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
+    """The vehicle stood still from ``start_ns`` to ``end_ns``; ``rate_b`` (3,) rad/s is the raw mean rate."""
+
+    start_ns: int
+    end_ns: int
+    rate_b: Vector
+
+
+class Standstill:
+    """Cuts time into intervals and says which of them were spent at rest."""
+
+    def __init__(self, config: NavigatorConfig) -> None:
+        self._config = config
+        self._since_ns: int | None = None  # the odometer has stood since then
+        self._odo_ns: int | None = None
+        self._waiting: list[Rest] = []
+
+    def interval(self, t_ns: int, rest: Vector, v_n: Vector, sigma_v: float) -> Rest | None:
+        """Close the interval that ends at ``t_ns``; returns it when it is known to be a rest.
+
+        ``rest`` (REST_SIZE,) are the sums of the propagation kernel, which start again from zero.
+        ``v_n`` (3,) m/s and ``sigma_v`` m/s: the estimated velocity and its uncertainty.
+        """
+        config = self._config
+        duration, n = float(rest[0]), float(rest[1])
+        start = t_ns - round(duration * 1e9)
+        rate = rest[2:5] / duration
+        force = rest[5:8] / duration
+        gyro = float(rest[8] / n - rate @ rate)
+        accel = float(rest[9] / n - force @ force)
+        rest[:] = 0.0
+        quiet = gyro < config.rest_gyro**2 and accel < config.rest_accel**2
+        found = Rest(start, t_ns, rate)
+        if self._odo_ns is not None and t_ns - self._odo_ns < 1_000_000_000:
+            # the wheel's word on the end of the interval may still be on its way
+            self._waiting.append(found)
+            del self._waiting[:-4]
+            return self._confirmed()
+        # in an outage the speed is known less well than a vehicle at rest deserves
+        speed = float(np.sqrt(v_n @ v_n))
+        limit = max(config.rest_speed, min(3.0 * sigma_v, 3.0))
+        return found if quiet and speed < limit else None
+
+    def odometer(self, sample: OdoSample) -> Rest | None:
+        """Take an odometer sample; returns an interval that it confirms as a rest."""
+        self._odo_ns = sample.t_ns
+        if not sample.standstill:
+            self._since_ns = None
+            self._waiting.clear()
+            return None
+        if self._since_ns is None:
+            self._since_ns = sample.t_ns
+        return self._confirmed()
+
+    def _confirmed(self) -> Rest | None:
+        while self._waiting:
+            rest = self._waiting[0]
+            if self._odo_ns is None or rest.end_ns > self._odo_ns:
+                return None
+            del self._waiting[0]
+            if self._since_ns is not None and self._since_ns <= rest.start_ns:
+                return rest
+        return None

@@ -1,0 +1,64 @@
+"""What the filter estimates, and where it is kept.
+
+Error states are *computed minus true* (a correction is subtracted), except the misalignment phi, which
+follows the naming law: computed ``C = (I - [phi x]) C_nb``, so that the true attitude is
+``(I + [phi x])`` times the computed one.
+
+- position (3): metres along n (computed minus true; level axes along the ellipsoid, third the height)
+- velocity (3): m/s in n
+- phi (3): rad in n
+- gyro bias, accel bias (3 + 3): rad/s and m/s^2 in b, of what is subtracted from the sensor
+- odometer scale (1): of k in ``true distance = (1 + k) measured distance``
+- mounting (2): mu about right and up of v, computed ``C_vb = (I - [mu x]) true C_vb``
+- baro bias (1): m, of what is added to the height to predict the barometer
+- gyro scale, accel scale (3 + 3): of s in ``measured = (1 + s) true + bias``; these last six are left
+  out of the filter where their initial sigma is zero
+
+The nominal state that they correct is one float64 vector: the strapdown state (see
+`nav.strapdown.kernels`), then the places ``X_`` below.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+POSITION: Final = slice(0, 3)
+VELOCITY: Final = slice(3, 6)
+PHI: Final = slice(6, 9)
+GYRO_BIAS: Final = slice(9, 12)
+ACCEL_BIAS: Final = slice(12, 15)
+ODO_SCALE: Final = slice(15, 16)
+MOUNTING: Final = slice(16, 18)
+BARO_BIAS: Final = slice(18, 19)
+GYRO_SCALE: Final = slice(19, 22)
+ACCEL_SCALE: Final = slice(22, 25)
+BASIC: Final = 19
+"""Number of states without the scale factors."""
+FULL: Final = 25
+"""Number of states with them."""
+
+X_BG: Final = 17  # gyro bias, 3
+X_BA: Final = 20  # accelerometer bias, 3
+X_KO: Final = 23  # odometer scale
+X_QV: Final = 24  # q_vb, 4
+X_BB: Final = 28  # barometer bias
+X_SG: Final = 29  # gyro scale, 3
+X_SA: Final = 32  # accelerometer scale, 3
+X_W: Final = 35  # w_ib_b over the last update, corrected, 3
+X_F: Final = 38  # f_b over the last update, corrected, 3
+X_A: Final = 41  # mean acceleration of the last update in n (rate of v_n), 3
+X_PATH: Final = 44  # integral of the odometer point's velocity in v since the last odometer epoch, 3
+X_PT: Final = 47  # and its duration, s
+X_Q0: Final = 48  # q_vb as configured or first found, the reference of the mounting shown, 4
+X_SIZE: Final = 52
+
+# Places in the parameter vector that kernels take.
+P_LG: Final = 0  # lever arm IMU to GNSS antenna in b, 3
+P_LO: Final = 3  # IMU to odometer point in b, 3
+P_LP: Final = 6  # IMU to output point in b, 3
+P_SLIP: Final = 9  # side slip per lateral acceleration, s
+P_GAP_W: Final = 10  # rate that may pass unseen in a gap, rad/s
+P_GAP_A: Final = 11  # acceleration that may pass unseen in a gap, m/s^2
+P_ARW: Final = 12  # angle random walk, rad/sqrt(s)
+P_Q: Final = 16  # noise densities of the states, FULL
+P_SIZE: Final = P_Q + FULL

@@ -1,0 +1,371 @@
+"""The navigator: samples in, solutions and events out, in the order in which they arrive.
+
+A pure fold: no clock is read, nothing is drawn. Modes: STANDBY until `Navigator.start`, ALIGN until the
+alignment hands over, then NAVIGATE; CATCH_UP while late data is worked in, DEGRADED while an aid that the
+configuration counts on is missing, FAULT when the state is no longer a number.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from nav.align import ALIGNMENTS, NavInit, Run, advance, begin, result
+from nav.earth import geodetic_to_xyz
+from nav.events import AlignmentProgress, ModeChange, NavEvent, Notice, Refusal
+from nav.filter.history import Timeline
+from nav.filter.initial import initial_state
+from nav.filter.settings import ImuErrors, NavigatorConfig, align_config, parameters
+from nav.filter.standstill import Rest, Standstill
+from nav.rotation import dcm_from_quat, quat_from_dcm
+from nav.types import (
+    BaroSample,
+    FixType,
+    GnssFix,
+    ImuFlag,
+    ImuSample,
+    Mode,
+    OdoSample,
+    S,
+    Sample,
+    Solution,
+    SolutionFlag,
+    SpeedSample,
+)
+
+__all__ = ["ImuErrors", "NavInit", "Navigator", "NavigatorConfig"]
+
+_CHECK_NS: Final = 100_000_000
+_RECENT_NS: Final = 2_000_000_000
+_GAP_SHOWN_NS: Final = 5_000_000_000
+_BRIDGED: Final = int(ImuFlag.BRIDGED)
+_SATURATED: Final = int(ImuFlag.SATURATED)
+_FAULT: Final = int(ImuFlag.DEVICE_FAULT)
+_GAP: Final = int(ImuFlag.GAP)
+_ALIGNED: Final = SolutionFlag.POSITION | SolutionFlag.VELOCITY | SolutionFlag.LEVEL
+
+
+class Navigator:
+    """One navigator; see the module."""
+
+    def __init__(self, config: NavigatorConfig) -> None:
+        self.config = config
+        self.mode = Mode.STANDBY
+        self._timeline = Timeline(config.states, parameters(config), config.lockout, config.replay_updates)
+        self._standstill = Standstill(config)
+        self._events: list[NavEvent] = []
+        self._run: Run | None = None
+        self._first: ImuSample | None = None
+        self._imu_ns: int | None = None
+        self._check_ns = 0
+        self._gap_ns: int | None = None
+        self._rest_ns: int | None = None
+        self._degraded: str | None = None
+        self._mounted = False
+        self._flags = 0
+        self._path_ns = 0
+        self._odo_start_ns = 0
+        self._odo_ns: int | None = None
+        self._odo_distance = 0.0
+        self._odo_duration = 0.0
+
+    # ---- commands ------------------------------------------------------------------------------
+
+    def start(self, t_ns: int) -> list[NavEvent]:
+        """Begin with alignment at ``t_ns``, whatever the mode was."""
+        self._align(t_ns, "start")
+        return self._drain()
+
+    def begin(self, init: NavInit) -> list[NavEvent]:
+        """Navigate from ``init``, without alignment."""
+        self._navigate(init, "initial state given")
+        return self._drain()
+
+    def stop(self, t_ns: int) -> list[NavEvent]:
+        """Go to STANDBY."""
+        self._run = None
+        self._change(t_ns, Mode.STANDBY, "stop")
+        return self._drain()
+
+    # ---- samples -------------------------------------------------------------------------------
+
+    def step(self, sample: Sample) -> list[NavEvent]:
+        """Take one sample, in the order of arrival; returns what came of it.
+
+        A solution comes with every second inertial sample. Aids may be late: they are used at their own
+        time, as far back as the history reaches (2048 updates); later than that they are refused.
+        """
+        mode = self.mode
+        if mode is Mode.STANDBY or mode is Mode.FAULT:
+            if isinstance(sample, ImuSample):
+                self._imu_ns = sample.t_ns
+            return self._drain()
+        if type(sample) is ImuSample:
+            self._inertial(sample)
+        elif mode is Mode.ALIGN:
+            self._aligning(sample)
+        else:
+            self._aid(sample)
+        if self._timeline.behind:
+            self._catch_up()
+        return self._drain()
+
+    def _drain(self) -> list[NavEvent]:
+        events = self._events
+        if self._timeline.events:
+            events.extend(self._timeline.events)
+            self._timeline.events.clear()
+        if events:
+            self._events = []
+        return events
+
+    def _change(self, t_ns: int, mode: Mode, reason: str) -> None:
+        if mode is not self.mode:
+            self._events.append(ModeChange(t_ns, self.mode, mode, reason))
+            self.mode = mode
+
+    # ---- alignment -----------------------------------------------------------------------------
+
+    def _align(self, t_ns: int, reason: str) -> None:
+        self._run = begin(ALIGNMENTS[self.config.alignment], align_config(self.config))
+        self._first = None
+        self._check_ns = t_ns
+        self._change(t_ns, Mode.ALIGN, reason)
+
+    def _aligning(self, sample: Sample) -> None:
+        if self._run is None:
+            return
+        self._run, status = advance(self._run, sample)
+        t = sample.t_ns
+        if status.refusal is not None:
+            self._events.append(Notice(t, f"alignment starts again: {status.refusal}"))
+        if status.done:
+            init = result(self._run)
+            self._run = None
+            self._navigate(init, "aligned")
+        elif t >= self._check_ns:
+            self._check_ns = t + _CHECK_NS
+            sigma = np.sqrt(np.maximum(np.diag(status.covariance), 0.0))
+            self._events.append(AlignmentProgress(t, status.progress, tuple(sigma.tolist())))
+            if status.estimate is not None:
+                row = np.full(S.SIZE, math.nan)
+                C_vb = self.config.C_vb
+                C_gb = dcm_from_quat(status.estimate)
+                row[S.Q] = quat_from_dcm(C_gb if C_vb is None else C_gb @ C_vb.T)
+                row[S.SIGMA_PHI] = sigma
+                flags = SolutionFlag.LEVEL if max(sigma[:2]) < self.config.heading_limit else 0
+                if C_vb is not None:
+                    flags |= SolutionFlag.MOUNTING
+                self._events.append(Solution(t, Mode.ALIGN, int(flags), row))
+
+    def _navigate(self, init: NavInit, reason: str) -> None:
+        x, P, self._mounted = initial_state(init, self.config)
+        self._timeline.begin(init.t_ns, x, P)
+        self._timeline.rest[:] = 0.0
+        self._standstill = Standstill(self.config)
+        self._first = None
+        self._imu_ns = init.t_ns
+        self._check_ns = init.t_ns
+        self._gap_ns = self._rest_ns = self._degraded = None
+        self._path_ns = init.t_ns
+        self._odo_ns = None
+        self._flags = int(_ALIGNED)
+        self._change(init.t_ns, Mode.NAVIGATE, reason)
+
+    # ---- inertial samples ----------------------------------------------------------------------
+
+    def _inertial(self, s: ImuSample) -> None:
+        t = s.t_ns
+        last = self._imu_ns
+        if s.flags & _FAULT:
+            self._events.append(Refusal(t, s.device, "invalid"))
+            return
+        if last is not None:
+            silent = t - last - s.dt * 1e9
+            if t <= last:
+                self._events.append(Refusal(t, s.device, "stale"))
+                return
+            if silent > 0.5e9 * s.dt + 1e6 or (s.flags & _GAP and silent > 0.0):
+                self._silence(last, silent, t)
+        self._imu_ns = t
+        if self.mode is Mode.ALIGN:
+            self._aligning(s)
+            return
+        first = self._first
+        if first is None:
+            self._first = s
+            return
+        self._first = None
+        flags = first.flags | s.flags
+        noise = 1.0 if not flags & (_BRIDGED | _SATURATED) else (1e4 if flags & _SATURATED else 100.0)
+        row = self._timeline.advance(t, first.dt + s.dt, noise, first.dtheta, first.dv, s.dtheta, s.dv)
+        if row is None:
+            self._change(t, Mode.FAULT, "the state is not finite")
+            return
+        if t >= self._check_ns:
+            self._check_ns = t + _CHECK_NS
+            self._check(t, float(row[24]))
+        if self._timeline.rest[0] >= self.config.rest_interval - 1e-6:
+            self._interval(t, row[S.V], float(row[19]))
+        self._events.append(Solution(t, self.mode, self._flags, row))
+
+    def _silence(self, last: int, silent: float, t: int) -> None:
+        """Inertial samples are missing between ``last`` and the sample at ``t``."""
+        if self.mode is Mode.ALIGN:
+            # the alignment's stages judge gaps by the times of their samples
+            return
+        first, self._first = self._first, None
+        if first is not None:
+            a, v = 0.5 * first.dtheta, 0.5 * first.dv
+            self._timeline.advance(last, first.dt, 1.0, a, v, a, v)
+        if silent > self.config.gap_limit * 1e9:
+            self._align(t, f"no inertial data for {silent * 1e-9:.1f} s")
+            return
+        self._timeline.rest[:] = 0.0
+        self._timeline.bridge(last + round(silent), silent * 1e-9)
+        self._gap_ns = t
+        self._check_ns = t
+
+    def _interval(self, t: int, v_g: np.ndarray[tuple[int, ...], np.dtype[np.float64]], sigma: float) -> None:
+        rest = self._standstill.interval(t, self._timeline.rest, v_g, sigma)
+        if rest is not None:
+            self._at_rest(rest)
+
+    def _at_rest(self, rest: Rest) -> None:
+        config = self.config
+        self._rest_ns = rest.end_ns
+        if config.zero_velocity is not None:
+            self._timeline.measure("zero_velocity", rest.end_ns, np.array([0.0, config.zero_velocity]))
+        if config.zero_rate is not None:
+            duration = (rest.end_ns - rest.start_ns) * 1e-9
+            z = np.array([0.0, duration, *rest.rate_b, config.zero_rate])
+            self._timeline.measure("zero_rate", rest.end_ns, z)
+
+    def _catch_up(self) -> None:
+        timeline = self._timeline
+        timeline.catch_up()
+        if timeline.behind:
+            if self.mode is not Mode.CATCH_UP:
+                self._change(timeline.t_ns, Mode.CATCH_UP, "late data")
+        elif self.mode is Mode.CATCH_UP:
+            if timeline.solution() is None:
+                self._change(timeline.t_ns, Mode.FAULT, "the state is not finite")
+            else:
+                mode = Mode.NAVIGATE if self._degraded is None else Mode.DEGRADED
+                self._change(timeline.t_ns, mode, "caught up")
+
+    # ---- aids ----------------------------------------------------------------------------------
+
+    def _aid(self, s: Sample) -> None:
+        used = True
+        if isinstance(s, GnssFix):
+            if s.fix_type < FixType.FIX_3D:
+                self._events.append(Refusal(s.t_ns, s.device, "invalid"))
+                return
+            used = self._gnss(s)
+        elif isinstance(s, OdoSample):
+            self._odometer(s)
+        elif isinstance(s, SpeedSample):
+            sigma = max(s.sigma, self.config.odometer_sigma)
+            if self._mounted:
+                used = self._timeline.measure("speed", s.t_ns, np.array([0.0, s.speed, sigma]))
+        elif isinstance(s, BaroSample):
+            used = self._timeline.measure("barometer", s.t_ns, np.array([0.0, s.height, s.sigma]))
+        if not used:
+            self._events.append(Refusal(s.t_ns, s.device, "stale"))
+
+    def _gnss(self, s: GnssFix) -> bool:
+        config = self.config
+        z = np.zeros(7)
+        z[1:4] = geodetic_to_xyz(s.lat, s.lon, s.height)
+        z[4:7] = np.maximum(s.sigma_position, config.gnss_position_floor)
+        used = self._timeline.measure("gnss_position", s.t_ns, z)
+        if used and s.v_g is not None and s.sigma_velocity is not None:
+            z = np.zeros(7)
+            z[1:4] = s.v_g
+            z[4:7] = np.maximum(s.sigma_velocity, config.gnss_velocity_floor)
+            self._timeline.measure("gnss_velocity", s.t_ns - round(config.gnss_velocity_age * 1e9), z)
+        return used
+
+    def _odometer(self, s: OdoSample) -> None:
+        rest = self._standstill.odometer(s)
+        if rest is not None:
+            self._at_rest(rest)
+        if not self._mounted:
+            return
+        config = self.config
+        start = s.t_ns - round(s.dt * 1e9)
+        if self._odo_ns is None or abs(start - self._odo_ns) > 20_000_000:
+            # the first, or after missing ones: begin an interval where this sample begins
+            self._odo_start_ns = start
+            self._odo_distance = self._odo_duration = 0.0
+            self._restart_path(start)
+        self._odo_ns = s.t_ns
+        self._odo_distance += s.distance
+        self._odo_duration += s.dt
+        duration = (s.t_ns - self._odo_start_ns) * 1e-9
+        if duration < config.odometer_interval - 1e-3:
+            return
+        sigma = math.hypot(config.odometer_sigma, 0.41 * config.odometer_quantum / duration)
+        distance = self._odo_distance * duration / self._odo_duration
+        self._timeline.measure("odometer", s.t_ns, np.array([0.0, duration, distance, sigma]))
+        self._sideways(s.t_ns, duration)
+        self._odo_start_ns = s.t_ns
+        self._odo_distance = self._odo_duration = 0.0
+        self._restart_path(s.t_ns)
+
+    def _sideways(self, t: int, duration: float) -> None:
+        sigma = self.config.non_holonomic
+        if sigma is not None:
+            self._timeline.measure("non_holonomic", t, np.array([0.0, duration, sigma]))
+
+    def _restart_path(self, t: int) -> None:
+        self._timeline.restart_path(t)
+        self._path_ns = t
+
+    # ---- every tenth of a second ---------------------------------------------------------------
+
+    def _check(self, t: int, sigma_heading: float) -> None:
+        config, timeline = self.config, self._timeline
+        if self._mounted and config.non_holonomic is not None:
+            without = t - self._path_ns
+            patience = 3.0 * config.odometer_interval if config.odometer else config.non_holonomic_interval
+            if without >= (patience - 0.01) * 1e9:
+                self._sideways(t, without * 1e-9)
+                self._restart_path(t)
+
+        gnss = max(timeline.last_accepted("gnss_position"), timeline.last_accepted("gnss_velocity"))
+        wheel = max(timeline.last_accepted("odometer"), timeline.last_accepted("speed"))
+        flags = _ALIGNED
+        if sigma_heading < config.heading_limit:
+            flags |= SolutionFlag.HEADING
+        if self._mounted:
+            flags |= SolutionFlag.MOUNTING
+        if timeline.used("gnss_position", "gnss_velocity") and t - gnss < _RECENT_NS:
+            flags |= SolutionFlag.GNSS
+        if t - timeline.last_accepted("gnss_position") >= _RECENT_NS:
+            flags |= SolutionFlag.DEAD_RECKONING
+        if timeline.used("odometer", "speed") and t - wheel < _RECENT_NS:
+            flags |= SolutionFlag.ODOMETER
+        if self._rest_ns is not None and t - self._rest_ns < round(2e9 * config.rest_interval):
+            flags |= SolutionFlag.STANDSTILL
+        if self._gap_ns is not None and t - self._gap_ns < _GAP_SHOWN_NS:
+            flags |= SolutionFlag.IMU_GAP
+        self._flags = int(flags)
+
+        missing = None
+        for name, limit, latest in (
+            ("GNSS", config.gnss_timeout, gnss),
+            ("odometer", config.odometer_timeout, wheel),
+            ("barometer", config.barometer_timeout, timeline.last_accepted("barometer")),
+        ):
+            if limit is not None and t - latest > limit * 1e9:
+                missing = f"no {name} for {limit:g} s"
+                break
+        self._degraded = missing
+        if missing is not None and self.mode is Mode.NAVIGATE:
+            self._change(t, Mode.DEGRADED, missing)
+        elif missing is None and self.mode is Mode.DEGRADED:
+            self._change(t, Mode.NAVIGATE, "aids are back")
