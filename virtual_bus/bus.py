@@ -55,7 +55,7 @@ class Bench:
             )
         self.start_ns = start_ns
         self.end_ns = start_ns + round(self.seconds * 1e9)
-        self.trajectory = self.scenario.trajectory(self.seconds)
+        self.trajectory = self.scenario.trajectory(self.seconds, generator(seed, "vehicle/mounting"))
         self.grade = GRADES[self.scenario.grade]
         self.imu_errors = draw_imu(self.grade, generator(seed, "imu/unit"))
         self.channels = sorted({table.channel for table in self.scenario.devices().values()})

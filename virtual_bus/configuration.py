@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,21 +31,39 @@ class Wiring:
     fd: bool
 
 
+_SCALE_MATTERS_PPM: Final = 300.0
+"""A quarter turn with this scale error of a gyro is wrong by as much as heading is known."""
+_ALIGN_MARGIN_S: Final = 4.0
+_COARSE_S: Final = 60.0
+_FINE_S: Final = 240.0
+
+
 def imu_errors(grade: Grade) -> dict[str, float]:
     """What a filter should assume of a unit of ``grade``, calibrated: keys of the bridge's imu_errors.
 
-    At 1 g errors of scale and axes of the accelerometers look like biases and are counted as such.
+    Errors of scale are given where they are large. Small ones, and those of the axes, look like biases of
+    the accelerometers at 1 g and are counted as such.
     """
     tilt_ug = grade.accel_misalignment_arcsec * ARCSEC * 1e6
+    large = grade.gyro_scale_ppm >= _SCALE_MATTERS_PPM
     return {
         "gyro_bias_deg_per_h": grade.gyro_bias_deg_per_h,
         "gyro_instability_deg_per_h": grade.gyro_instability_deg_per_h,
         "gyro_random_walk_deg_per_sqrt_h": grade.gyro_random_walk_deg_per_sqrt_h,
-        "accel_bias_ug": math.hypot(grade.accel_bias_ug, grade.accel_scale_ppm, tilt_ug),
+        "gyro_scale_ppm": grade.gyro_scale_ppm if large else 0.0,
+        "accel_bias_ug": math.hypot(grade.accel_bias_ug, tilt_ug, 0.0 if large else grade.accel_scale_ppm),
         "accel_instability_ug": grade.accel_instability_ug,
         "accel_random_walk_ug_per_sqrt_hz": grade.accel_random_walk_ug_per_sqrt_hz,
+        "accel_scale_ppm": grade.accel_scale_ppm if large else 0.0,
         "correlation_s": grade.correlation_s,
     }
+
+
+def alignment_s(rest_s: float) -> tuple[float, float]:
+    """Coarse and fine time (s) of a static alignment that ends before a rest of ``rest_s`` does."""
+    total = max(2.0, rest_s - _ALIGN_MARGIN_S)
+    coarse = min(_COARSE_S, 0.25 * total)
+    return coarse, min(_FINE_S, total - coarse)
 
 
 def calibration_toml(errors: ImuErrors, grade: Grade) -> str:
@@ -95,8 +114,7 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
     if s.gnss is not None:
         lines += _device("gnss", "gnss_can", s.gnss, [])
     if s.baro is not None:
-        sigma = max(0.01, math.hypot(s.baro.noise_m, 0.0))
-        lines += _device("baro", "baro_can", s.baro, [f"sigma_m = {sigma!r}"])
+        lines += _device("baro", "baro_can", s.baro, [f"sigma_m = {max(0.01, s.baro.noise_m)!r}"])
 
     v = s.vehicle
     C_bv = mounting_matrix(*v.mounting_deg).T
@@ -106,13 +124,25 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         "odometer_lever_arm_m": np.zeros(3),
         "output_point_m": imu_at if v.output_m is None else np.array(v.output_m),
     }
+    coarse_s, fine_s = alignment_s(s.rest_s())
+    known = []
+    if s.odometer is not None:
+        known.append(f"odometer_scale_ppm = {max(1.0, s.odometer.scale_error_ppm)!r}")
+    if s.baro is not None:
+        known.append(f"barometer_bias_m = {max(0.01, math.hypot(s.baro.offset_m, s.baro.drift_m))!r}")
     mounting = '"find"' if s.navigator.find_mounting else _vector(np.array(v.mounting_deg))
     lines += [
         "[navigator.main]",
         "devices = [" + ", ".join(_text(name) for name in s.devices()) + "]",
         f"alignment = {_text(s.navigator.alignment)}",
         f"mounting_deg = {mounting}",
+        f"mounting_sigma_deg = {v.mounting_sigma_deg!r}",
         *(f"{key} = {_vector(C_bv @ (place - imu_at))}" for key, place in arms.items()),
+        *known,
+        "",
+        "[navigator.main.align]",
+        f"coarse_s = {coarse_s!r}",
+        f"fine_s = {fine_s!r}",
         "",
         "[navigator.main.imu_errors]",
         *(f"{key} = {value!r}" for key, value in imu_errors(wiring.grade).items()),

@@ -20,7 +20,7 @@ from msgspec import Meta
 
 from virtual_bus.faults import AnyFault
 from virtual_bus.grades import GRADES
-from virtual_bus.manoeuvres import Blend, Manoeuvre, Profile
+from virtual_bus.manoeuvres import Blend, Manoeuvre, Profile, Static
 from virtual_bus.truth import Trajectory, Vehicle, mounting_matrix, roll_per_accel
 
 PACKAGED: Final = Path(__file__).parent / "scenarios"
@@ -55,14 +55,16 @@ class Start(Table):
 class VehicleOptions(Table):
     """``[vehicle]``: places in vehicle axes (right, forward, up) from the middle of the rear axle.
 
-    ``mounting_deg`` is pitch, roll, heading of the IMU in the vehicle. ``output_m`` is the point that the
-    solution is for and truth is told at; by default the IMU.
+    ``mounting_deg`` is pitch, roll, heading of the IMU in the vehicle as its maker wrote down; pitch and
+    heading really differ from it by ``mounting_sigma_deg``. ``output_m`` is the point that the solution is
+    for and truth is told at; by default the IMU.
     """
 
     imu_m: Three = (0.3, 1.2, 0.5)
     antenna_m: Three = (-0.2, 0.7, 1.6)
     output_m: Three | None = None
     mounting_deg: Three = (0.0, 0.0, 0.0)
+    mounting_sigma_deg: NotNegative = 0.0
     roll_deg_per_g: float = 3.0
     pitch_deg_per_g: float = 0.0
 
@@ -191,12 +193,23 @@ class Scenario(Table):
             places = list(tail) if total < seconds else []
         return Profile(blends, math.radians(self.start.heading_deg))
 
-    def trajectory(self, seconds: float) -> Trajectory:
-        """True motion over at least ``seconds``."""
+    def rest_s(self) -> float:
+        """How long it stands still at the start."""
+        total = 0.0
+        for manoeuvre in self.manoeuvre:
+            if not isinstance(manoeuvre, Static):
+                break
+            total += manoeuvre.duration_s
+        return total
+
+    def trajectory(self, seconds: float, rng: np.random.Generator) -> Trajectory:
+        """True motion over at least ``seconds``; ``rng`` draws how well the IMU was mounted."""
         options = self.vehicle
+        pitch_deg, roll_deg, heading_deg = options.mounting_deg
+        off = options.mounting_sigma_deg * rng.standard_normal(2)
         vehicle = Vehicle(
             imu=np.array(options.imu_m),
-            C_vb=mounting_matrix(*options.mounting_deg),
+            C_vb=mounting_matrix(pitch_deg + float(off[0]), roll_deg, heading_deg + float(off[1])),
             roll_per_accel=roll_per_accel(options.roll_deg_per_g),
             pitch_per_accel=roll_per_accel(options.pitch_deg_per_g),
         )

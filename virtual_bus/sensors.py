@@ -144,7 +144,7 @@ class Odometer:
         self._turned = 0.0
 
     def block(self, t_ns: Times) -> tuple[Counts, Counts, NDArray[np.bool_]]:
-        """Ticks since power-on, direction (1 forward, 2 reverse), standstill at ``t_ns[1:]``."""
+        """Ticks since power-on, direction (0 none, 1 forward, 2 reverse), standstill at ``t_ns[1:]``."""
         rolled = np.diff(self._profile.distance(t_ns))
         for slip in self._faults.of(WheelSlip):
             rolled[slip.during(t_ns[1:])] *= slip.factor
@@ -152,7 +152,7 @@ class Odometer:
         self._turned = float(turned[-1])
         speed = self._profile.speed(t_ns)
         standstill = np.maximum(np.abs(speed[:-1]), np.abs(speed[1:])) < 0.005
-        direction = np.where(speed[1:] < 0.0, 2, 1)
+        direction = np.where(standstill, 0, np.where(speed[1:] < 0.0, 2, 1))
         return np.floor(turned * self._ticks_per_m).astype(np.int64), direction, standstill
 
 
