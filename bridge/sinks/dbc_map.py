@@ -64,7 +64,7 @@ class DbcMapSinkOptions(SinkOptions, kw_only=True):
 
     dbc: str
     rate_hz: Annotated[float, Meta(gt=0.0, le=1000.0)] = 50.0
-    messages: Annotated[dict[str, dict[str, str | Out]], Meta(min_length=1)]
+    messages: dict[str, dict[str, str | Out]]
 
 
 class Moment(NamedTuple):
@@ -215,6 +215,8 @@ class DbcMapSink:
         # the mapping and the file disagree where either may be wrong, so the file is named
         book = Book(context.files[options.dbc], options.dbc, options.dbc, f"sink.{context.name}")
         self._frames: list[tuple[Message, list[_Field], dict[str, float]]] = []
+        if not options.messages:
+            raise book.wrong("messages", {}, "at least one table messages.NAME")
         for name, signals in options.messages.items():
             message = _message(book, name)
             fields = [
@@ -265,7 +267,7 @@ class DbcMapSink:
 
 def _message(book: Book, name: str) -> Message:
     if name not in book.messages:
-        raise book.unknown("messages", name, list(book.messages))
+        raise book.unknown(f"messages.{name}", name, list(book.messages))
     return book.messages[name]
 
 
