@@ -28,7 +28,7 @@ def _cache_folder() -> str:
     return str(Path(base) / "navbridge" / "kernels" / sources.hexdigest()[:16])
 
 
-config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR") or _cache_folder()
+config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR") or _cache_folder()  # type: ignore[attr-defined]
 
 
 def kernel(function: F) -> F:
