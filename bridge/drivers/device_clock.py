@@ -61,9 +61,8 @@ class DeviceClock:
     def __init__(self) -> None:
         self.resets = 0
         """How often a counter restarted or jumped, and the line was begun anew."""
-        self._widest: int | None = (
-            0  # modulus of the counter that defines device time; None: never wraps; 0: unset
-        )
+        # width of the counter that defines device time; None: never wraps; 0: none heard yet
+        self._widest: int | None = 0
         self._shift = 0  # device time of the widest counter minus our axis
         self._base = 0  # engine time minus axis at the seed, ns; the line below is relative to it
         self._x = 0.0  # axis of the newest point, ns
@@ -108,7 +107,10 @@ class DeviceClock:
             self.seed(counter_ns, arrival_ns, modulus_ns)
             return counter_ns
         expected = arrival_ns - self._base - round(self._height + self._slope * self._x)
-        if modulus_ns != widest and widest is not None:
+        if modulus_ns == widest:
+            if modulus_ns is None:
+                return counter_ns - self._shift
+        elif widest is not None:
             if modulus_ns is None or modulus_ns > widest:
                 # a wider counter joins: the axis is its time less a whole number of the old width
                 self._shift = (counter_ns - expected + widest // 2) // widest * widest
@@ -133,24 +135,29 @@ class DeviceClock:
         """Engine time at a place on the axis."""
         return axis_ns + self._base + round(self._height + self._slope * axis_ns)
 
-    def add(self, axis_ns: int, arrival_ns: int) -> None:
-        """Take a point into the line."""
+    def explain(self, axis_ns: int, arrival_ns: int) -> int | None:
+        """Take a point into the line and return its engine time; None where the line cannot explain it."""
+        slope, height = self._slope, self._height
+        delay = arrival_ns - axis_ns - self._base
         x = float(axis_ns)
-        d = float(arrival_ns - axis_ns - self._base)
-        above = d - self._slope * x
-        if above < self._height:  # no frame arrives before it is sent: the line was too high
-            self._height = above
+        above = delay - slope * x
+        if not -EARLY < above - height < LATE:
+            return None
+        if above < height:  # no frame arrives before it is sent: the line was too high
+            self._height = height = above
         if x > self._x:
             self._x = x
         if x >= self._stretch_end:
             self._points.append((self._low_x, self._low_d))
             self._fit(x)
-            self._begin(x, d)
-            above = d - self._slope * x
-            if above < self._height:
-                self._height = above
+            self._begin(x, float(delay))
+            slope = self._slope
+            height = self._height = min(self._height, delay - slope * x)
         elif above < self._low:
-            self._low, self._low_x, self._low_d = above, x, d
+            self._low = above
+            self._low_x = x
+            self._low_d = float(delay)
+        return axis_ns + self._base + round(height + slope * x)
 
     def _fit(self, now: float) -> None:
         points = self._points
@@ -239,22 +246,22 @@ class ClockPort:
                 self._good_axis = _NEVER
             last = self._last_axis
             self.elapsed_ns = None if last is None else axis - last
-            residual = clock.residual(axis, arrival)
-            if -EARLY < residual < LATE:
+            explained = clock.explain(axis, arrival)
+            if explained is not None:
                 self._odd = False
-                clock.add(axis, arrival)
-                out = clock.time(axis)
+                out = explained
                 if axis > self._good_axis:  # a frame that was overtaken does not set the clock back
                     self._last_axis = self._good_axis = axis
             else:
-                out = self._outlier(axis, counter_ns, arrival, residual)
+                out = self._outlier(axis, counter_ns, arrival)
         if out <= self._out:
             out = self._out + 1
         self._out = out
         return out
 
-    def _outlier(self, axis: int, counter_ns: int, arrival: int, residual: float) -> int:
+    def _outlier(self, axis: int, counter_ns: int, arrival: int) -> int:
         clock = self._clock
+        residual = clock.residual(axis, arrival)
         self._last_axis = axis
         if not self._odd or abs(residual - self._odd_residual) > AGREE:
             self._odd = True

@@ -94,6 +94,8 @@ class ImuCan:
         self._last: ImuSample | None = None
         self._last_sample = 0
         self._gap = False
+        # compiled here, before a bus is opened
+        compensate(self._table, np.zeros(6), 1.0 / options.rate_hz, np.empty(3), np.empty(3))
 
     def feed(self, frame: RawFrame) -> Sequence[ImuSample]:
         """The sample that ``frame`` completes, after those made up for a short gap before it."""
@@ -103,21 +105,27 @@ class ImuCan:
             codec = self._gyro_codec
             if not codec.crc_ok(data):
                 bad_frame(codec, data, self.counters)
-            elif self._fresh(alive := codec.alive(data), data, self._gyro_data):
-                if self._gyro_alive >= 0:
-                    self._superseded(alive, data == self._gyro_data)
-                self._gyro = codec.decode(data)
-                self._gyro_alive = alive
-                self._gyro_data = data
+                return ()
+            alive = codec.alive(data)
+            if alive == self._done_alive:
+                return self._repeated(data, self._gyro_data)
+            if self._gyro_alive >= 0:
+                self._superseded(alive, data == self._gyro_data)
+            self._gyro = codec.decode(data)
+            self._gyro_alive = alive
+            self._gyro_data = data
             return ()
         if key == self._accel_key:
             codec = self._accel_codec
             if not codec.crc_ok(data):
                 bad_frame(codec, data, self.counters)
-            elif self._fresh(alive := codec.alive(data), data, self._accel_data):
-                self._accel = codec.decode(data)
-                self._accel_alive = alive
-                self._accel_data = data
+                return ()
+            alive = codec.alive(data)
+            if alive == self._done_alive:
+                return self._repeated(data, self._accel_data)
+            self._accel = codec.decode(data)
+            self._accel_alive = alive
+            self._accel_data = data
             return ()
         if key == self._time_key:
             codec = self._time_codec
@@ -125,8 +133,8 @@ class ImuCan:
                 bad_frame(codec, data, self.counters)
                 return ()
             alive = codec.alive(data)
-            if not self._fresh(alive, data, self._time_data):
-                return ()
+            if alive == self._done_alive:
+                return self._repeated(data, self._time_data)
             whole = self._gyro_alive == alive == self._accel_alive
             self._gyro_alive = self._accel_alive = -1
             self._done_alive = alive
@@ -144,15 +152,13 @@ class ImuCan:
             return self._feed_fd(data, rx_ns)
         return self._feed_status(data)
 
-    def _fresh(self, alive: int, data: bytes, before: bytes) -> bool:
-        """Whether a frame belongs to a sample that is not given out yet."""
-        if alive != self._done_alive:
-            return True
+    def _repeated(self, data: bytes, before: bytes) -> tuple[()]:
+        """Count a frame whose counter is that of the sample given out last: sent again, or stuck."""
         if data == before:
             self.counters.duplicates += 1
         else:
             self.counters.reject(Reject.COUNTER)
-        return False
+        return ()
 
     def _superseded(self, alive: int, same: bool) -> None:
         if alive != self._gyro_alive:
@@ -168,8 +174,8 @@ class ImuCan:
             bad_frame(codec, data, self.counters)
             return ()
         alive = codec.alive(data)
-        if not self._fresh(alive, data, self._fd_data):
-            return ()
+        if alive == self._done_alive:
+            return self._repeated(data, self._fd_data)
         self._done_alive = alive
         self._fd_data = data
         values = codec.decode(data)
