@@ -22,7 +22,10 @@ from bridge.drivers.dbc_map_signals import Book, Reading
 from bridge.outputs import Reject
 from nav.types import ImuFlag, ImuSample, OdoSample, Sample, SpeedSample, Vector
 
+MOST_SPEED: Final = 1e4  # m/s, as for the rates below
 _PLAUSIBLE: Final = 5.0  # an interval beyond this many times the nominal one, either way, is not one
+_MOST_RATE: Final = 1e3  # rad/s, and
+_MOST_FORCE: Final = 1e5  # m/s^2: no vehicle does that, an undeclared range or a wrong unit does
 _END: Final = 1e-6  # of a raw step: as near is at the end of the range
 
 
@@ -124,6 +127,8 @@ class ImuChannel(BaseChannel):
         over = dt if self._rates else 1.0
         dtheta = np.array([r.of(values) * over for r in self._gyro])
         dv = np.array([r.of(values) * over for r in self._accel])
+        if np.abs(dtheta).max() > _MOST_RATE * dt or np.abs(dv).max() > _MOST_FORCE * dt:
+            return counters.reject(Reject.RANGE)
         samples: list[Sample] = []
         if steps > 1 and last is not None and not flags & ImuFlag.GAP:
             samples += self._between(last, t_ns, dt, dtheta, dv, steps)
@@ -174,6 +179,8 @@ class SpeedChannel(BaseChannel):
         if elapsed is not None and elapsed <= 0:
             return counters.reject(Reject.STALE)
         speed = self._speed.of(values)
+        if abs(speed) > MOST_SPEED:
+            return counters.reject(Reject.RANGE)
         if self._reverse and self._reverse.holds(values):
             speed = -speed
         sigma = max(self._sigma.sigma(values), self._min_v)

@@ -10,7 +10,7 @@ import numpy as np
 
 from bridge.drivers.base import Context
 from bridge.drivers.counters import Counters
-from bridge.drivers.dbc_map_channels import BaseChannel
+from bridge.drivers.dbc_map_channels import MOST_SPEED, BaseChannel
 from bridge.drivers.dbc_map_epochs import Epoch, Needs
 from bridge.drivers.dbc_map_options import DbcMapOptions, FixTypes, GnssMap
 from bridge.drivers.dbc_map_signals import Book, Values
@@ -18,6 +18,7 @@ from bridge.outputs import Reject
 from nav.types import FixType, GnssFix, Sample, Vector
 
 _UNIX_TO_GPS_S: Final = 315_964_800  # 6 January 1980
+_MOST_HEIGHT: Final = 1e6  # m
 
 
 class GnssChannel(BaseChannel):
@@ -74,18 +75,21 @@ class GnssChannel(BaseChannel):
         if elapsed is not None and elapsed <= 0:
             return counters.reject(Reject.STALE)
         lat, lon = self._lat.of(values), self._lon.of(values)
-        if abs(lat) > math.pi / 2.0 + 1e-12 or abs(lon) > 2.0 * math.pi:
+        height = self._height.of(values)
+        if abs(lat) > math.pi / 2.0 + 1e-9 or abs(lon) > 2.0 * math.pi or abs(height) > _MOST_HEIGHT:
             return counters.reject(Reject.RANGE)
         v_g = sigma_v = None
         if self._velocity is not None and self._velocity_valid.holds(values):
             v_g, sigma_v = self._velocity.of(values)
             sigma_v = np.maximum(sigma_v, self._min_v)
+            if np.abs(v_g).max() > MOST_SPEED:
+                return counters.reject(Reject.RANGE)
         sigmas = [max(r.sigma(values), self._min_p) for r in (self._sigma_e, self._sigma_n, self._sigma_u)]
         fix = GnssFix(
             t_ns,
             lat,
             (lon + math.pi) % (2.0 * math.pi) - math.pi,
-            self._height.of(values),
+            height,
             np.array(sigmas),
             v_g,
             sigma_v,

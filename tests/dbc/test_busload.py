@@ -6,7 +6,7 @@ import argparse
 import json
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.cli import busload as command
@@ -60,6 +60,7 @@ def classic_frame(frame_id: int, data: bytes) -> list[int]:
     return bits + crc15(bits) + [1] * 13
 
 
+@settings(deadline=None)
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))
 def test_a_real_frame_lies_between_the_bounds(frame_id: int, data: bytes) -> None:
     bits = classic_frame(frame_id, data)

@@ -70,6 +70,7 @@ def test_any_bits_decode_as_the_oracle_does(name: str, data: st.DataObject) -> N
     assert codec.in_range(codec.decode(frame)) == inside
 
 
+@settings(deadline=None)
 @given(st.floats(-90.0, 90.0), st.floats(-180.0, 180.0))
 def test_a_value_between_steps_goes_to_the_nearest(lat: float, lon: float) -> None:
     c = contract()

@@ -6,7 +6,7 @@ import random
 
 import e2e as library
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc import e2e
@@ -67,6 +67,7 @@ def test_profile_5_example_of_the_protocol_specification() -> None:
     assert data.hex() == "1cca000000000000"
 
 
+@settings(deadline=None)
 @given(st.binary(min_size=2, max_size=8), st.integers(0, 0xFFFF))
 def test_profile_1_agrees_with_its_definition(body: bytes, data_id: int) -> None:
     data = bytearray(body)
@@ -76,6 +77,7 @@ def test_profile_1_agrees_with_its_definition(body: bytes, data_id: int) -> None
     assert e2e.check_p01(bytes(data), data_id) == (body[1] & 15 != 15)  # 15: an invalid counter
 
 
+@settings(deadline=None)
 @given(st.binary(min_size=3, max_size=64), st.integers(0, 0xFFFF))
 def test_profile_5_agrees_with_its_definition(body: bytes, data_id: int) -> None:
     data = bytearray(body)

@@ -13,7 +13,7 @@ from typing import Any
 import cantools.database
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.drivers.dbc_map import DbcMap, DbcMapOptions
@@ -444,6 +444,19 @@ def test_a_float_that_is_no_number_is_refused(value: float) -> None:
     assert feed(driver, frame("Floats", MS, Fast=-2.5))[0].speed == -2.5
 
 
+def test_what_no_vehicle_does_is_refused_where_the_file_declares_no_range() -> None:
+    driver = made('[speed]\nspeed = "Fast"\nsigma = { value = 0.1, unit = "m/s" }\n')
+    assert feed(driver, frame("Floats", 0, Fast=3e38)) == []
+    assert rejects(driver) == {"RANGE": 1}
+    wild = made(
+        ONE_FRAME_IMU.replace('z = "-W" }', 'z = "-W", unit = "rpm" }').replace(
+            '"W"', '{ signal = "W", scale = 100 }'
+        )
+    )
+    assert feed(wild, frame("Single", 0, W=300.0, Ok=1)) == []
+    assert rejects(wild) == {"RANGE": 1}
+
+
 def test_channels_of_one_device_share_its_frames() -> None:
     text = '[speed]\nspeed = "Kmh"\nsigma = { value = 0.3, unit = "km/h" }\n' + (
         '[odometer]\ndistance = { signal = "Kmh", unit = "m" }\nmax_speed_m_s = 1e6\n'
@@ -467,6 +480,7 @@ def test_lengths() -> None:
     assert feed(driver, good._replace(data=good.data.ljust(8, b"\xcc")))[0].speed == pytest.approx(10.0)
 
 
+@settings(deadline=None, max_examples=60)  # every example reads the DBC file anew
 @given(
     st.lists(
         st.tuples(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import can
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.errors import CaptureError, ConfigError
@@ -96,6 +96,7 @@ def test_what_is_no_frame(text: str) -> None:
     assert parse_line(text) is None
 
 
+@settings(deadline=None)
 @given(
     st.integers(0, 0x1FFFFFFF),
     st.booleans(),
@@ -125,6 +126,7 @@ def test_lines_that_python_can_writes(
     assert abs(line.stamp_ns - us * 1000) <= 1000
 
 
+@settings(deadline=None)
 @given(st.text(max_size=60))
 def test_no_text_breaks_the_parser(text: str) -> None:
     parse_line(text)

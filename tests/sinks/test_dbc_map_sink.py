@@ -9,7 +9,7 @@ from typing import Any
 import cantools.database
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.config import Config
@@ -109,12 +109,16 @@ def test_a_solution_is_read_back_by_cantools() -> None:
     assert got["Velocity"]["Down"] == pytest.approx(-s.v_g[2], abs=0.0051)
 
 
+SHARED = sink()
+
+
+@settings(deadline=None)
 @given(st.floats(0.0, 360.0, exclude_max=True))
 def test_headings_wrap_as_the_signal_wants(degrees: float) -> None:
     s = solution()
     half = math.radians(-degrees) / 2.0
     s.state[S.Q] = [math.cos(half), 0.0, 0.0, math.sin(half)]
-    motion = read(sink().encode_solution(s))["Motion"]
+    motion = read(SHARED.encode_solution(s))["Motion"]
     error = (motion["Heading"] - degrees + 180.0) % 360.0 - 180.0
     assert abs(error) <= 0.00501
     assert 0.0 <= motion["Heading"] <= 359.99
