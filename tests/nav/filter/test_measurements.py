@@ -1,0 +1,141 @@
+"""Every measurement of the table: a perfect one takes out exactly the error it sees."""
+
+import numpy as np
+import pytest
+
+from nav import earth
+from nav import rotation as rot
+from nav.filter import states as st
+from nav.filter.measurements import MEASUREMENTS
+from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
+from tests.nav.filter.making import difference, disturbed, nominal
+
+STEPS = np.concatenate(
+    [[3.0] * 3, [0.3] * 3, [1e-4] * 3, [1e-4] * 3, [1e-3] * 3, [1e-3] * 3, [1.0], [1e-4] * 6]
+)
+T = 0.05
+
+
+def parameters():
+    p = np.zeros(st.P_SIZE)
+    p[st.P_LG : st.P_LG + 3] = [1.0, -2.0, 1.5]
+    p[st.P_LO : st.P_LO + 3] = [-0.5, -1.5, -0.7]
+    return p
+
+
+def vehicle_velocity(x, p):
+    """Velocity of the odometer point in v, by matrices."""
+    C_nb = rot.dcm_from_quat(x[X_Q : X_Q + 4])
+    C_vb = rot.dcm_from_quat(x[st.X_QV : st.X_QV + 4])
+    C_en = x[X_C : X_C + 9].reshape(3, 3)
+    w_eb = x[st.X_W : st.X_W + 3] - C_nb.T @ C_en.T @ [0, 0, earth.EARTH_RATE]
+    return C_vb @ (C_nb.T @ x[X_V : X_V + 3] + np.cross(w_eb, p[st.P_LO : st.P_LO + 3]))
+
+
+def exact(kind, x, p):
+    """z of a perfect measurement made now from the true state ``x``, by matrices; and x for it."""
+    C_nb = rot.dcm_from_quat(x[X_Q : X_Q + 4])
+    C_en = x[X_C : X_C + 9].reshape(3, 3)
+    lat, lon, _ = earth.position_angles(C_en)
+    w_eb = x[st.X_W : st.X_W + 3] - C_nb.T @ C_en.T @ [0, 0, earth.EARTH_RATE]
+    lever = p[st.P_LG : st.P_LG + 3]
+    small = [1e-6] * 3
+    if kind == "gnss_position":
+        r = np.array(earth.geodetic_to_xyz(lat, lon, x[X_H])) + C_en @ C_nb @ lever
+        return x, np.array([0.0, *r, *small])
+    if kind == "gnss_velocity":
+        C_gn = earth.position_matrix(lat, lon).T @ C_en
+        return x, np.array([0.0, *(C_gn @ (x[X_V : X_V + 3] + C_nb @ np.cross(w_eb, lever))), *small])
+    if kind == "barometer":
+        return x, np.array([0.0, x[X_H] + x[st.X_BB], 1e-6])
+    u = vehicle_velocity(x, p)
+    if kind in ("odometer", "speed"):
+        x = with_path(x, u)
+        s = u[1] / (1.0 + x[st.X_KO])
+        return x, np.array([0.0, T, s * T, 1e-7] if kind == "odometer" else [0.0, s, 1e-7])
+    if kind == "non_holonomic":
+        # drive along v's forward axis: choose the velocity so
+        C_vb = rot.dcm_from_quat(x[st.X_QV : st.X_QV + 4])
+        x = x.copy()
+        w = np.cross(w_eb, p[st.P_LO : st.P_LO + 3])
+        x[X_V : X_V + 3] = C_nb @ (C_vb.T @ np.array([0.0, 30.0, 0.0]) - w)
+        return with_path(x, np.array([0.0, 30.0, 0.0])), np.array([0.0, T, 1e-4])
+    if kind == "zero_velocity":
+        x = x.copy()
+        x[X_V : X_V + 3] = 0.0
+        return x, np.array([0.0, 1e-7])
+    assert kind == "zero_rate"
+    rate = C_nb.T @ C_en.T @ [0, 0, earth.EARTH_RATE] + x[st.X_BG : st.X_BG + 3]
+    return x, np.array([0.0, T, *rate, 1e-10])
+
+
+def with_path(x, u):
+    x = x.copy()
+    x[st.X_PATH : st.X_PATH + 3] = u * T
+    x[st.X_PT] = T
+    return x
+
+
+SEEN = {
+    "gnss_position": [0, 1, 2, 6, 7, 8],
+    "gnss_velocity": [3, 4, 5, 6, 7, 8, 9, 10, 11],
+    "barometer": [2, 18],
+    "odometer": [3, 4, 5, 6, 7, 8, 15, 16, 17],
+    "speed": [3, 4, 5, 6, 7, 8, 9, 10, 11, 15, 16, 17],
+    "non_holonomic": [3, 4, 5, 6, 7, 8, 16, 17],
+    "zero_velocity": [3, 4, 5],
+    "zero_rate": [6, 7, 8, 9, 10, 11],
+}
+
+
+def test_every_measurement_is_here():
+    assert SEEN.keys() == MEASUREMENTS.keys()
+    assert len({m.rank for m in MEASUREMENTS.values()}) == len(MEASUREMENTS)
+
+
+@pytest.mark.parametrize(("kind", "k"), [(kind, k) for kind, seen in SEEN.items() for k in seen])
+def test_takes_out_the_error_it_sees(kind, k):
+    """Only state k is uncertain and wrong; after the update it is right again, whatever its sign."""
+    p = parameters()
+    x, z = exact(kind, nominal(), p)
+    e = np.zeros(st.FULL)
+    e[k] = STEPS[k]
+    y = disturbed(x, e)
+    if kind in ("gnss_velocity", "speed") and k in (9, 10, 11):
+        # a bias error shows in the corrected rate
+        y[st.X_W + k - 9] -= e[k]
+    P = np.zeros((st.FULL, st.FULL))
+    P[k, k] = (100.0 * STEPS[k]) ** 2
+    out = np.zeros(12)
+    MEASUREMENTS[kind].kernel(y, P, p, z, np.inf, out)
+    # the path since the last odometer epoch is disturbed as if its error were constant, while H knows
+    # that a tilt makes it grow: up to 5 % of the weakest entries
+    assert abs(difference(y, x)[k]) < 0.05 * STEPS[k]
+    assert P[k, k] < (0.5 * STEPS[k]) ** 2 or kind == "zero_rate"
+
+
+@pytest.mark.parametrize("kind", SEEN)
+def test_a_perfect_measurement_has_no_residual(kind):
+    p = parameters()
+    x, z = exact(kind, nominal(), p)
+    y, out, P = x.copy(), np.zeros(12), np.eye(st.FULL)
+    nis = MEASUREMENTS[kind].kernel(y, P, p, z, -1.0, out)
+    assert nis >= 0.0
+    # 6.4e6 m coordinates round at 1e-9
+    np.testing.assert_allclose(out[:6], 0.0, atol=2e-8)
+    np.testing.assert_array_equal(y, x)
+
+
+@pytest.mark.parametrize("tau", [0.004, 0.02])
+def test_position_between_two_epochs(tau):
+    """A fix ``tau`` before the state: prediction by velocity and acceleration is exact to third order."""
+    p = np.zeros(st.P_SIZE)
+    x = nominal(wander=0.0)
+    lat, lon, _ = earth.position_angles(x[X_C : X_C + 9].reshape(3, 3))
+    C_eg = earth.position_matrix(lat, lon)
+    back = x[X_V : X_V + 3] * tau - 0.5 * x[st.X_A : st.X_A + 3] * tau**2
+    r = np.array(earth.geodetic_to_xyz(lat, lon, x[X_H])) - C_eg @ back
+    out = np.zeros(12)
+    z = np.array([tau, *r, 1.0, 1.0, 1.0])
+    MEASUREMENTS["gnss_position"].kernel(x.copy(), np.eye(st.FULL), p, z, -1.0, out)
+    np.testing.assert_allclose(out[:3], 0.0, atol=1e-8)
