@@ -12,7 +12,9 @@ from typing import Final
 from bridge.clock import Clock, WallClock
 from bridge.config import Config
 from bridge.engine import Engine
+from bridge.errors import SourceError
 from bridge.live import Bench, Live, Sink
+from bridge.realtime import no_collections
 from bridge.recording import Recorder
 from bridge.sinks import SINKS, SinkContext
 from bridge.sources import SOURCES, Source, SourceContext
@@ -24,8 +26,9 @@ DBC_ATTACHMENT: Final = "navbridge.dbc"
 class Bridge:
     """Everything one configuration needs, on one clock. A context manager that opens and closes it.
 
-    The engine is built, and its kernels are compiled, before any bus is opened. With ``out`` a capture is
-    written; ``lossless`` lets the loop wait for the disk (simulated time only), ``metadata`` is added to it.
+    The engine is built before any bus is opened; from then on there are no garbage collections. With
+    ``out`` a capture is written; ``lossless`` lets the loop wait for the disk (simulated time only),
+    ``metadata`` is added to it.
 
     Raises ConfigError, SourceError or CaptureError with the reason.
     """
@@ -60,13 +63,15 @@ class Bridge:
             for number, (name, source_options) in enumerate(self.config.sources.items(), start=1):
                 accept = self.engine.accept.get(number)
                 where = SourceContext(number, name, self.clock, self.wall, accept)
-                source = SOURCES[source_options.type](source_options, where)
-                source.open()
-                stack.callback(source.close)
-                self.sources.append(source)
+                self.sources.append(SOURCES[source_options.type](source_options, where))
             if self._out is not None:
                 self.recorder = self._recorder(self._out)
                 stack.callback(self.recorder.close)
+            stack.enter_context(no_collections())
+            # last, so that nothing piles up in their buffers meanwhile
+            for source in self.sources:
+                self._open(source)
+                stack.callback(source.close)
             self._stack = stack.pop_all()
         return self
 
@@ -94,6 +99,14 @@ class Bridge:
             recorder=self.recorder,
             bench=bench,
         )
+
+    def _open(self, source: Source) -> None:
+        try:
+            source.open()
+        except SourceError:
+            if self.recorder is not None:  # nothing will be in it
+                self.recorder.path.unlink(missing_ok=True)
+            raise
 
     def _recorder(self, path: str | Path) -> Recorder:
         filters = {source.context.name: source.filters() for source in self.sources}

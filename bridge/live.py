@@ -21,7 +21,6 @@ from bridge.digest import combine
 from bridge.frame import BRIDGE, Event, RawFrame
 from bridge.latency import Latency
 from bridge.outputs import Checkpoint, Health, Output, SolutionOut, Transmit
-from bridge.realtime import no_collections
 from bridge.recording import Recorder
 from bridge.recording_format import HEALTH, LATENCY
 from bridge.sources.base import Source
@@ -115,7 +114,7 @@ class Live:
     def run(self, seconds: float | None = None) -> Outcome:
         """Run for ``seconds`` of the clock, until the bench has nothing more, a signal or `stop`."""
         clock = self._clock
-        with _signals(self), no_collections():
+        with _signals(self):
             start_ns = self._last_ns = self._latency_ns = clock.monotonic_ns()
             end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
             self._event(start_ns, Event.START, {"utc_ns": clock.utc_ns(), "monotonic_ns": start_ns})

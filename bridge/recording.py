@@ -9,9 +9,9 @@ on. Nothing is ever sorted: the file is in the order of sequence numbers.
 from __future__ import annotations
 
 import json
-import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -66,7 +66,7 @@ class Recorder:
         self._result: dict[str, str] = {}
         self._decimator = Decimator()
         self._shown: dict[str, Solution] = {}
-        self._queue: queue.SimpleQueue[Item | None] = queue.SimpleQueue()
+        self._queue: deque[Item | None] = deque()
         self._file = OutputFile(self.path, lossless)
         self._worker = WriterThread(self._file, self._queue, utc_offset_ns)
         try:
@@ -164,7 +164,7 @@ class Recorder:
             return
         self._push_batch()
         self._worker.result = {**self._result, "unrecorded": str(self.unrecorded)}
-        self._queue.put(None)
+        self._queue.append(None)
         self._thread.join(None if self._lossless else _CLOSE_S)
         if self._thread.is_alive():
             self._file.give_up.set()
@@ -185,7 +185,7 @@ class Recorder:
         taken = self._pending() <= _QUEUE_BYTES
         if taken:
             self._put_bytes += len(self._batch)
-            self._queue.put((FRAMES, self._batch_ns, bytes(self._batch), count))
+            self._queue.append((FRAMES, self._batch_ns, bytes(self._batch), count))
         else:
             self._lost += count
             self.unrecorded += count
@@ -196,7 +196,7 @@ class Recorder:
     def _put(self, topic: str, t_ns: int, payload: object) -> None:
         if self._lossless or self._pending() <= _QUEUE_BYTES:
             self._put_bytes += ITEM_BYTES
-            self._queue.put((topic, t_ns, payload, 0))
+            self._queue.append((topic, t_ns, payload, 0))
 
     def _pending(self) -> int:
         return self._put_bytes - self._worker.done_bytes

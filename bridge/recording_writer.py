@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import queue
 import threading
+import time
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any, Final, cast
@@ -26,6 +27,7 @@ VIEW: Final = "view"
 _CHUNK_BYTES: Final = 64 * 1024  # closing a chunk compresses it: 0.3 ms at this size
 _CHUNK_NS: Final = 1_000_000_000  # what a kill can cost at most
 _RETRY_S: Final = 0.1
+_IDLE_S: Final = 0.02
 _VIEWER_TOPICS: Final = {POSE: "/pose", LOCATION: "/location", TRANSFORM: "/tf"}
 
 Item = tuple[str, int, Any, int]
@@ -85,7 +87,7 @@ class OutputFile:
 class WriterThread:
     """The writer thread: takes items from the queue, builds chunks, commits them to the file."""
 
-    def __init__(self, file: OutputFile, items: queue.SimpleQueue[Item | None], utc_offset_ns: int) -> None:
+    def __init__(self, file: OutputFile, items: deque[Item | None], utc_offset_ns: int) -> None:
         self.result: dict[str, str] = {}
         self.done_bytes = 0
         self._file = file
@@ -117,7 +119,13 @@ class WriterThread:
     def run(self) -> None:
         """Write until the queue ends or the file is given up."""
         try:
-            while (item := self._items.get()) is not None:
+            while True:
+                # looked into now and then: being woken by every batch would take the processor from the loop
+                if not self._items:
+                    time.sleep(_IDLE_S)
+                    continue
+                if (item := self._items.popleft()) is None:
+                    break
                 self._take(item)
             self._flush()
             self._mcap.add_metadata(RESULT, self.result)
@@ -134,8 +142,8 @@ class WriterThread:
     def abandoned(self) -> int:
         """Frames that were accepted but are not in the file; asked after the end."""
         count = self._chunk_frames
-        while not self._items.empty():
-            item = self._items.get()
+        while self._items:
+            item = self._items.popleft()
             count += item[3] if item is not None else 0
         return count
 

@@ -43,6 +43,7 @@ class CanBus:
         self._bus: can.BusABC | None = None
         self._socket: socket.socket | None = None
         self._index = 0
+        self._descriptors: tuple[int, ...] = ()
         self._notices: list[Notice] = []
         self._counts: Counter[str] = Counter()
         self._state = "unknown"
@@ -66,12 +67,7 @@ class CanBus:
 
     def descriptors(self) -> Sequence[int]:
         """The bus's file descriptor, where its interface has one."""
-        if self._bus is None:
-            return ()
-        with contextlib.suppress(Exception):
-            number = self._bus.fileno()
-            return (number,) if number >= 0 else ()
-        return ()
+        return self._descriptors
 
     def poll(self, deadline_ns: int) -> list[Received]:
         """Frames that have arrived; see `bridge.sources.base.Source`."""
@@ -137,6 +133,7 @@ class CanBus:
             with contextlib.suppress(Exception):
                 self._bus.shutdown()
         self._bus = self._socket = None
+        self._descriptors = ()
 
     # opening
 
@@ -165,6 +162,8 @@ class CanBus:
             raise
         self._bus = bus
         self._faults = 0
+        with contextlib.suppress(NotImplementedError):
+            self._descriptors = (bus.fileno(),)
 
     def _filtered(self) -> frozenset[int] | None:
         accept = self.context.accept

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import can
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.clock import Clock, HostClock, SimulatedClock, WallClock
@@ -276,6 +276,7 @@ def test_a_full_transmit_queue_is_counted(channel: str) -> None:
     source.close()
 
 
+@settings(deadline=None)
 @given(
     st.integers(0, 0x7FF) | st.integers(0, 0x1FFF_FFFF).map(lambda number: number | CAN_EFF),
     st.binary(max_size=8) | st.sampled_from([12, 16, 20, 24, 32, 48, 64]).map(bytes),

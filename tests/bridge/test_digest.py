@@ -4,7 +4,7 @@ import hashlib
 import struct
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.digest import DigestChain, canonical_row, combine
@@ -33,6 +33,7 @@ def test_the_row_does_not_touch_the_solution() -> None:
     canonical_row(Solution(1, Mode.ALIGN, 0, state))
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 5 * SECOND), min_size=1, max_size=30).map(sorted))
 def test_checkpoints_chain_the_blocks_of_each_second(stamps: list[int]) -> None:
     chain = DigestChain("main")

@@ -3,12 +3,13 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.latency import Histogram
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 2**50), min_size=1, max_size=200), st.floats(0.0, 100.0))
 def test_percentiles_are_upper_bounds_within_a_step(values: list[int], percent: float) -> None:
     histogram = Histogram()

@@ -7,7 +7,7 @@ import socket
 import time
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -87,6 +87,7 @@ def test_packets_come_out_whole(version: int, sign: bool) -> None:
     assert {(item.message, item.system, item.component) for item in got} == {(30, 42, 7)}
 
 
+@settings(deadline=None)
 @given(st.data())
 def test_any_noise_and_any_pieces_never_lose_a_packet_for_good(data: st.DataObject) -> None:
     noise = st.binary(max_size=40) | st.lists(st.sampled_from([0xFD, 0xFE, 0, 255]), max_size=40).map(bytes)

@@ -42,11 +42,13 @@ def numbered(count: int, step_ns: int = 1_000_000) -> list[RawFrame]:
     return [RawFrame(i, i * step_ns, 1, 0x100 + i % 3, i.to_bytes(8, "little")) for i in range(count)]
 
 
+@settings(deadline=None)
 @given(frames_strategy)
 def test_batches_round_trip(frames: list[RawFrame]) -> None:
     assert unpack_frames(pack_frames(frames)) == frames
 
 
+@settings(deadline=None)
 @given(frames_strategy.filter(bool), st.data())
 def test_a_cut_batch_is_refused_or_whole(frames: list[RawFrame], data: st.DataObject) -> None:
     packed = pack_frames(frames)

@@ -208,7 +208,7 @@ def test_a_disk_full_to_the_end_is_counted_and_leaves_a_capture(
     monkeypatch.setattr(recording, "_QUEUE_BYTES", 200_000)
     monkeypatch.setattr(recording, "_CLOSE_S", 0.3)
     path = tmp_path / "a.mcap"
-    with file_size_limit(300_000):
+    with file_size_limit(150_000):
         rec = Recorder(path, sources=SOURCES, utc_offset_ns=0)
         seq, _ = feed(rec, 0, 2000)
         rec.close()
