@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import cantools.database
 from cantools.database.can import Database, Message, Signal
@@ -18,6 +19,10 @@ from dbc.units import UNITS, si_factor
 
 Values = dict[str, float]
 """Physical values of one epoch as the DBC file scales them, by ``Message.Signal``."""
+
+
+_LISTED: Final = 40
+"""Of thousands of signals, as a vehicle's DBC file has, an error lists those of the nearest names."""
 
 
 class Source(NamedTuple):
@@ -135,7 +140,7 @@ class Book:
                 names = [f"{message}.{s.name}" for s in self.messages[message].signals]
             else:
                 names = [name for name in self._places if "." not in name]
-            raise unknown(self._file, f"{self._key}.{key}", text, [f"{n}" for n in names])
+            raise self.unknown(key, text, difflib.get_close_matches(text, names, n=_LISTED, cutoff=0.0))
         if len(places) > 1:
             choices = " or ".join(source.name for source in places)
             raise self.wrong(key, text, f"its message too, for there are several: {choices}")
