@@ -59,7 +59,7 @@ class SignalInfo(NamedTuple):
 class MessageCodec:
     """Encodes and decodes one message of a contract.
 
-    ``name``, ``frame_id``, ``length`` (bytes), ``is_fd``, ``cycle_ms`` (None: on request), ``sender``,
+    ``name``, ``frame_id``, ``length`` (bytes), ``is_fd``, ``cycle_ms`` (None: on request),
     ``data_id``, ``alive_modulus``. ``signals`` are the names without CRC and ALIVE in the order of
     their place in the frame, and `info` describes each.
     """
@@ -82,7 +82,6 @@ class MessageCodec:
         "is_fd",
         "length",
         "name",
-        "sender",
         "signals",
     )
 
@@ -93,7 +92,6 @@ class MessageCodec:
         self.length: int = message.length
         self.is_fd: bool = message.is_fd
         self.cycle_ms: int | None = message.cycle_time
-        self.sender: str = message.senders[0] if message.senders else ""
         profile, self.data_id = _protection(message)
         self.alive_modulus: int = profile.modulus
         self._alive_byte = profile.alive_at // 8
