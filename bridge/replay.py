@@ -132,9 +132,9 @@ def replay(
         if frame.source == BRIDGE:
             if frame.key == Event.UNRECORDED:
                 breaks_ns = breaks_ns if breaks_ns is not None else frame.rx_ns
-            if first_ns is None:
-                first_ns = frame.rx_ns
-            last_ns = frame.rx_ns
+        last_ns = frame.rx_ns
+        if first_ns is None:
+            first_ns = last_ns
         outputs = feed(frame)
         if not outputs:
             continue

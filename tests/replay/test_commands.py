@@ -1,6 +1,5 @@
 """``navbridge run`` and ``navbridge replay`` on a small bench, through the command line."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import can
@@ -37,7 +36,7 @@ def write_config(folder: Path, channel: str) -> Path:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A capture of some seconds of the packaged drive, and its digest."""
     folder = tmp_path_factory.mktemp("bench")
     config = Config.load(write_config(folder, "replay-commands"))
@@ -49,7 +48,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, s
         Bridge(config, clock, out=path, lossless=True) as bridge,
     ):
         outcome = bridge.live(bench=Driver(bench, bus)).run()
-    yield path, outcome.digest
+    return path, outcome.digest
 
 
 def test_a_bench_run_is_recorded_whole(recorded: tuple[Path, str]) -> None:
