@@ -129,9 +129,8 @@ def replay(
     feed = engine.feed
     for frame in capture.frames():
         frames += 1
-        if frame.source == BRIDGE:
-            if frame.key == Event.UNRECORDED:
-                breaks_ns = breaks_ns if breaks_ns is not None else frame.rx_ns
+        if frame.source == BRIDGE and frame.key == Event.UNRECORDED and breaks_ns is None:
+            breaks_ns = frame.rx_ns
         last_ns = frame.rx_ns
         if first_ns is None:
             first_ns = last_ns
