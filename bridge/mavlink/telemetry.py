@@ -21,6 +21,7 @@ _UINT16_MAX: Final = 0xFFFF
 _UINT32_MAX: Final = 0xFFFF_FFFF
 _INT16_MAX: Final = 0x7FFF
 
+CUSTOM_MODE: Final = 1000
 STATES: Final = {
     Mode.STANDBY: dialect.MAV_STATE_STANDBY,
     Mode.ALIGN: dialect.MAV_STATE_CALIBRATING,
@@ -62,12 +63,15 @@ def _finite(*values: float) -> bool:
 
 
 def heartbeat(picture: Picture, vehicle: int) -> Any:
-    """HEARTBEAT: system state from the mode; the mode itself is the custom mode."""
+    """HEARTBEAT: system state from the mode; the mode itself is the custom mode, counted from 1000.
+
+    Small custom modes are known to ground stations as those of autopilots, and would be named so.
+    """
     return dialect.MAVLink_heartbeat_message(
         vehicle,
         dialect.MAV_AUTOPILOT_GENERIC,
         dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED,
-        int(picture.mode),
+        CUSTOM_MODE + int(picture.mode),
         STATES[picture.mode],
         3,
     )

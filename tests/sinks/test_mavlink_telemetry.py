@@ -83,7 +83,7 @@ def test_everything_is_sent_unasked_with_true_values() -> None:
 
     heartbeat = messages["HEARTBEAT"]
     assert heartbeat.system_status == dialect.MAV_STATE_ACTIVE
-    assert heartbeat.custom_mode == Mode.NAVIGATE
+    assert heartbeat.custom_mode == 1000 + Mode.NAVIGATE
     assert heartbeat.type == dialect.MAV_TYPE_GROUND_ROVER
 
     attitude = messages["ATTITUDE"]
