@@ -120,18 +120,18 @@ def test_sim_stops_cleanly_when_told_to():
         "import sys; from tests.virtual_bus.test_sim_command import arguments; from bridge.cli import sim; "
         "sys.exit(sim.run(arguments('drive', '--interface', 'virtual', '--channel', 'x')))"
     )
-    for number in (signal.SIGINT, signal.SIGTERM):
-        process = subprocess.Popen(
-            [sys.executable, "-c", code],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
+    processes = {
+        number: subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    for number, process in processes.items():
         assert process.stdout is not None
         process.stdout.readline()  # it says what it sends when the bus is open
         time.sleep(0.3)
         process.send_signal(number)
-        out, err = process.communicate(timeout=10)
+        out, err = process.communicate(timeout=30)
         assert (process.returncode, err) == (0, "")
         assert "stopped: " in out
 
