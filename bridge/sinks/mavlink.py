@@ -8,6 +8,7 @@ from typing import Annotated, Any, Final, Literal
 from msgspec import Meta, field
 from pymavlink.dialects.v20 import common as dialect
 
+from bridge.geoid import undulation
 from bridge.mavlink import telemetry
 from bridge.mavlink.picture import Picture
 from bridge.options import SinkOptions
@@ -74,6 +75,7 @@ class MavlinkTelemetry:
         self._peer = context.peer
         self._peer.telemetry = self
         self._link = context.peer.link
+        undulation(0.0, 0.0)  # unpacks the geoid now, not in the loop
         self._vehicle = int(_VEHICLES[options.vehicle])
         self._picture = Picture(options.navigator)
         rates = {**DEFAULT_RATES_HZ, **options.rates_hz}
