@@ -209,7 +209,8 @@ class Solution:
     def pitch(self) -> float:
         """Pitch, nose up positive, rad."""
         w, x, y, z = self.state[S.Q]
-        return math.asin(max(-1.0, min(1.0, 2.0 * (y * z + w * x))))
+        # clamped with numpy, which keeps NaN where min and max would make it 90 degrees
+        return math.asin(np.clip(2.0 * (y * z + w * x), -1.0, 1.0))
 
     @property
     def roll(self) -> float:
