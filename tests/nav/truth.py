@@ -11,7 +11,8 @@ import numpy as np
 
 from nav import earth
 from nav import rotation as rot
-from nav.types import ImuSample
+from nav.align.types import NavInit
+from nav.types import FixType, GnssFix, ImuSample, S, Solution
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
@@ -99,3 +100,80 @@ def samples(dtheta, dv, dt, start_ns=0, device="imu"):
     """Inertial samples of increments, the first ending one interval after ``start_ns``."""
     step = round(dt * 1e9)
     return [ImuSample(start_ns + step * (i + 1), dt, dtheta[i], dv[i], device) for i in range(len(dtheta))]
+
+
+def hand_over(drive, t=0.0, error=None, sigmas=None):
+    """`NavInit` at ``t`` s with errors (15,) of position, velocity, phi, gyro and accelerometer bias.
+
+    Errors are east, north, up, computed minus true; ``sigmas`` (15,) go into the covariances.
+    """
+    error = np.zeros(15) if error is None else np.asarray(error)
+    s = np.array([0.01] * 3 + [0.01] * 3 + [1e-4] * 3 + [1e-7] * 3 + [1e-5] * 3) if sigmas is None else sigmas
+    lat, lon, h, v_g, C_gb = drive.geodetic(t)
+    r_e = drive.position(np.array(t)) + earth.position_matrix(lat, lon) @ error[0:3]
+    lat, lon, h = earth.xyz_to_geodetic(*r_e)
+    C = rot.dcm_from_quat(rot.quat_from_rotvec(-error[6:9])) @ C_gb
+    return NavInit(
+        round(t * 1e9),
+        lat,
+        lon,
+        h,
+        v_g + error[3:6],
+        rot.quat_from_dcm(C),
+        np.diag(s[6:9] ** 2),
+        s[3:6],
+        s[0:3],
+        error[9:12],
+        error[12:15],
+        s[9:12],
+        s[12:15],
+    )
+
+
+def fix(drive, t, lever=(0.0, 0.0, 0.0), sigma=(1.0, 1.0, 2.0), sigma_v=(0.1, 0.1, 0.1), rng=None):
+    """GNSS fix of the antenna at ``lever`` (m, in b) at ``t`` s, with noise from ``rng`` where given."""
+    t_ = np.array(t)
+    C_eb, lever = drive.C_eb(t_), np.asarray(lever)
+    r_e = drive.position(t_) + C_eb @ lever
+    w = drive.rate_ib(t_) - C_eb.T @ drive.w_ie_e
+    v_e = drive.velocity_e(t_) + C_eb @ np.cross(w, lever)
+    lat, lon, h = earth.xyz_to_geodetic(*r_e)
+    C_eg = earth.position_matrix(lat, lon)
+    v_g = C_eg.T @ v_e
+    sigma, sigma_v = np.array(sigma), np.array(sigma_v)
+    if rng is not None:
+        lat, lon, h = earth.xyz_to_geodetic(*(r_e + C_eg @ (sigma * rng.normal(size=3))))
+        v_g = v_g + sigma_v * rng.normal(size=3)
+    return GnssFix(round(t * 1e9), lat, lon, h, sigma, v_g, sigma_v, FixType.FIX_3D, "gnss")
+
+
+def rolled(drive, t0, t1):
+    """Distance along v's forward axis between two times, m; the odometer point is the IMU."""
+    t = t0 + (t1 - t0) * 0.5 * (_NODES + 1.0)
+    v_b = np.einsum("...ji,...j", drive.C_eb(t), drive.velocity_e(t))
+    return float(0.5 * (t1 - t0) * _WEIGHTS @ (v_b @ drive.C_vb.T)[:, 1])
+
+
+def play(navigator, inertial, aids=()):
+    """Feed samples; ``aids`` are (arrival in s, sample). Returns solutions and the other events."""
+    waiting = sorted(aids, key=lambda a: a[0])
+    solutions, events = [], []
+    k = 0
+    for s in inertial:
+        while k < len(waiting) and waiting[k][0] <= s.t_ns * 1e-9:
+            events += navigator.step(waiting[k][1])
+            k += 1
+        for e in navigator.step(s):
+            (solutions if isinstance(e, Solution) else events).append(e)
+    return solutions, events
+
+
+def error_of(solution, drive):
+    """Errors (9,) east, north, up of position m, velocity m/s, phi rad of a solution of the IMU point."""
+    t = solution.t_ns * 1e-9
+    lat, lon, _, v_g, C_gb = drive.geodetic(t)
+    r_e = np.array(earth.geodetic_to_xyz(*solution.state[:3]))
+    dp = earth.position_matrix(lat, lon).T @ (r_e - drive.position(np.array(t)))
+    C_gv = rot.dcm_from_quat(solution.state[S.Q])
+    phi = -rot.rotvec_from_quat(rot.quat_from_dcm(C_gv @ drive.C_vb @ C_gb.T))
+    return np.concatenate([dp, solution.v_g - v_g, phi])

@@ -1,0 +1,108 @@
+"""Monte Carlo: errors of the aided filter against the covariance that it claims."""
+
+import math
+
+import numpy as np
+import pytest
+
+from nav import earth
+from nav import rotation as rot
+from nav.events import Innovation
+from nav.filter import states as st
+from nav.navigator import ImuErrors, Navigator, NavigatorConfig
+from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
+from nav.types import OdoSample
+from tests.nav.truth import Drive, fix, hand_over, play, rolled, samples
+
+DT, SECONDS, SEEDS = 0.02, 40, 16
+ARW, VRW = 2e-4, 2e-3
+SIGMAS = np.array([1.0] * 3 + [0.1] * 3 + [0.01, 0.01, 0.03] + [1e-3] * 3 + [0.03] * 3)
+SCALE, MOUNTING = 1e-3, 0.02
+LEVER = np.array([0.3, -0.5, 1.0])
+
+
+def run(seed, wheel):
+    """One drive; returns error and covariance of all states that were disturbed, and the NIS by kind."""
+    rng = np.random.default_rng(seed)
+    drive = Drive(C_vb=rot.dcm_from_euler(0.5, 0.1, -0.1), nod=0.0)
+    error = rng.normal(size=15) * SIGMAS
+    scale_g, scale_a = rng.normal(size=3) * SCALE, rng.normal(size=3) * SCALE
+    mu, odo_scale = rng.normal(size=2) * MOUNTING, rng.normal() * 0.01
+    dtheta, dv = drive.increments(round(SECONDS / DT), DT)
+    # biases are zero in truth; the hand-over believes something else
+    dtheta = dtheta * (1 + scale_g) + ARW * math.sqrt(DT) * rng.normal(size=dtheta.shape)
+    dv = dv * (1 + scale_a) + VRW * math.sqrt(DT) * rng.normal(size=dv.shape)
+    guess = rot.dcm_from_quat(rot.quat_from_rotvec([-mu[0], 0.0, -mu[1]])) @ drive.C_vb
+    config = NavigatorConfig(
+        ImuErrors(ARW, VRW, 1e-3, 0.03, gyro_scale=SCALE, accel_scale=SCALE),
+        C_vb=guess,
+        sigma_mounting=MOUNTING,
+        gnss_lever_arm=LEVER,
+        odometer=wheel,
+        odometer_sigma=0.1,
+        non_holonomic=0.05 if wheel else None,
+        slip=0.0,
+        zero_velocity=None,
+        mounting_walk=0.0,
+        odometer_scale_walk=0.0,
+    )
+    navigator = Navigator(config)
+    navigator.begin(hand_over(drive, error=error, sigmas=SIGMAS))
+    aids = [(t, fix(drive, t, LEVER, rng=rng)) for t in 0.25 * np.arange(1, 4 * SECONDS) + 0.0033]
+    if wheel:
+        for t in 0.2 * np.arange(1, 5 * SECONDS) + 0.0021:
+            d = (rolled(drive, t - 0.2, t) + 0.2 * 0.1 * rng.normal()) / (1.0 + odo_scale)
+            aids.append((t, OdoSample(round(t * 1e9), 0.2, d, False, "odo")))
+    _, events = play(navigator, samples(dtheta, dv, DT), aids)
+
+    live = navigator._timeline.live
+    x, P = live.x, live.P
+    t = navigator._timeline.t_ns * 1e-9
+    C_en = x[X_C : X_C + 9].reshape(3, 3)
+    lat, lon, _ = earth.position_angles(C_en)
+    r_e = np.array(earth.geodetic_to_xyz(lat, lon, x[X_H]))
+    C_nb = C_en.T @ drive.C_eb(np.array(t))
+    turned = rot.quat_from_dcm(rot.dcm_from_quat(x[X_Q : X_Q + 4]) @ C_nb.T)
+    mounted = rot.quat_from_dcm(rot.dcm_from_quat(x[st.X_QV : st.X_QV + 4]) @ drive.C_vb.T)
+    e = np.zeros(st.FULL)
+    e[st.POSITION] = C_en.T @ (r_e - drive.position(np.array(t)))
+    e[st.VELOCITY] = x[X_V : X_V + 3] - C_en.T @ drive.velocity_e(np.array(t))
+    e[st.PHI] = -rot.rotvec_from_quat(turned)
+    e[st.GYRO_BIAS] = x[st.X_BG : st.X_BG + 3]
+    e[st.ACCEL_BIAS] = x[st.X_BA : st.X_BA + 3]
+    e[15] = x[st.X_KO] - odo_scale
+    e[st.MOUNTING] = -rot.rotvec_from_quat(mounted)[[0, 2]]
+    e[st.GYRO_SCALE] = x[st.X_SG : st.X_SG + 3] - scale_g
+    e[st.ACCEL_SCALE] = x[st.X_SA : st.X_SA + 3] - scale_a
+    keep = [*range(18 if wheel else 15), *range(19, 25)]
+    nis = {}
+    for i in events:
+        if isinstance(i, Innovation):
+            nis.setdefault(i.kind, []).append(i.nis)
+    return e[keep], P[np.ix_(keep, keep)], nis
+
+
+def band(dof):
+    """Two-sided 99.9 % band of a chi-square over its degrees of freedom (Wilson and Hilferty)."""
+    a = 2.0 / (9.0 * dof)
+    return (1 - a - 3.29 * math.sqrt(a)) ** 3, (1 - a + 3.29 * math.sqrt(a)) ** 3
+
+
+@pytest.mark.parametrize("wheel", [False, True])
+def test_errors_are_what_the_covariance_says(wheel):
+    runs = [run(seed, wheel) for seed in range(SEEDS)]
+    groups = {"all": slice(None), "position": slice(0, 3), "velocity": slice(3, 6), "phi": slice(6, 9)}
+    groups |= {"gyro bias": slice(9, 12), "accel bias": slice(12, 15)}
+    for name, part in groups.items():
+        total, dof = 0.0, 0
+        for e, P, _ in runs:
+            total += e[part] @ np.linalg.solve(P[part, part], e[part])
+            dof += len(e[part])
+        low, high = band(dof)
+        # wheels of this truth never slip: the constraint is better than it claims, errors may be smaller
+        assert (0.5 if wheel else 1.0) * low < total / dof < high, (name, total / dof)
+    for kind, rows in {"gnss_position": 3, "gnss_velocity": 3, "odometer": 1}.items():
+        nis = np.concatenate([r[2].get(kind, []) for r in runs])
+        if len(nis):
+            low, high = band(rows * len(nis))
+            assert low < np.mean(nis) / rows < high, (kind, np.mean(nis) / rows)
