@@ -21,10 +21,12 @@ from bridge.drivers import DRIVERS
 from bridge.drivers.base import Context, Driver
 from bridge.drivers.device_clock import DeviceClock
 from bridge.drivers.gnss_can import GnssCanOptions
+from bridge.engine import BACKWARDS_NS
 from bridge.errors import ConfigError
 from bridge.frame import BRIDGE, CAN_EFF, Event, RawFrame
 from bridge.inspection_checks import Finding
 from bridge.options import CanSource
+from bridge.outputs import Reject
 from bridge.recording import Capture
 from bridge.recording_format import LATENCY
 from dbc.busload import FD_LENGTHS, classic_bits, fd_bits
@@ -161,10 +163,11 @@ class _Reading:
         self.events: Counter[int] = Counter()
         self.zero_sigmas: Counter[tuple[str, str]] = Counter()
         self.dropped = self.unrecorded = self.unknown = self.frames = 0
-        self._takers: defaultdict[tuple[int, int], list[str]] = defaultdict(list)
+        self._now_ns = 0
+        self.takers: defaultdict[tuple[int, int], list[str]] = defaultdict(list)
         for name, driver in drivers.items():
             for key in driver.keys:
-                self._takers[key].append(name)
+                self.takers[key].append(name)
         # a driver puts a floor under what the receiver says, so the frames themselves are asked
         self._sigmas: dict[tuple[int, int], tuple[str, MessageCodec]] = {}
         for name, options in config.devices.items() if config else ():
@@ -182,10 +185,17 @@ class _Reading:
             self._event(frame)
             return
         self.lengths[place][len(frame.data)] += 1
-        takers = self._takers.get(place)
+        takers = self.takers.get(place)
         if not takers:
             self.unknown += 1
             return
+        # as the engine does: its time never goes back, and a frame from far back is turned away
+        if frame.rx_ns < self._now_ns - BACKWARDS_NS:
+            for name in takers:
+                self.drivers[name].counters.reject(Reject.STALE)
+            return
+        self._now_ns = max(self._now_ns, frame.rx_ns)
+        frame = frame._replace(rx_ns=self._now_ns)
         for name in takers:
             self.samples[name].extend(self.drivers[name].feed(frame))
         if place in self._sigmas:
@@ -314,6 +324,10 @@ def _judge(reading: _Reading, config: Config | None) -> Iterator[Finding]:
         )
     if config is None:
         return
+    for (source, key), names in reading.takers.items():
+        for name in names[1:]:
+            where = list(config.sources)[source - 1]
+            yield Finding(name, f"takes identifier {key:03X} on {where}, as {names[0]} does")
     for (device, signal), count in sorted(reading.zero_sigmas.items()):
         yield Finding(device, f"{signal} is zero in {count} frames; a receiver is never that sure")
     for name, driver in reading.drivers.items():

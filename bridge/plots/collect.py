@@ -34,7 +34,8 @@ def collect(capture: Capture, config: Config) -> list[PlotData]:
         begin_ns = frame.rx_ns if begin_ns is None else begin_ns
         end_ns = max(frame.rx_ns, end_ns or frame.rx_ns)
         for name in takers.get((frame.source, frame.key), ()):
-            times[name].extend(sample.t_ns for sample in drivers[name].feed(frame))
+            in_order = frame._replace(rx_ns=end_ns)  # engine time never goes back
+            times[name].extend(sample.t_ns for sample in drivers[name].feed(in_order))
         for out in engine.feed(frame):
             match out:
                 case SolutionOut():

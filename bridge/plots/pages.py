@@ -57,6 +57,15 @@ def _plane(lat: Array, lon: Array, lat0: float, lon0: float) -> tuple[Array, Arr
     return turn * r_n * np.cos(lat0), (lat - lat0) * r_m
 
 
+def _angles(q_gv: Array) -> tuple[Array, Array, Array]:
+    """Roll, pitch and heading (0 to 360) of the vehicle, deg; by the naming law of `nav.types.Solution`."""
+    w, x, y, z = q_gv.T
+    roll = np.arctan2(-2.0 * (x * z - w * y), w * w - x * x - y * y + z * z)
+    pitch = np.arcsin(np.clip(2.0 * (y * z + w * x), -1.0, 1.0))
+    heading = np.arctan2(2.0 * (x * y - w * z), w * w - x * x + y * y - z * z)
+    return roll * _DEG, pitch * _DEG, heading * _DEG % 360.0
+
+
 def _known(table: SolutionTable, flag: SolutionFlag) -> SolutionTable:
     return table.where((table.flags & flag) != 0)
 
@@ -117,10 +126,7 @@ def attitude(data: PlotData) -> Picture | None:
     found = _known(data.solutions, SolutionFlag.LEVEL)
     if len(found.t_ns) == 0:
         return None
-    w, x, y, z = found.state[:, S.Q].T
-    roll = np.arctan2(-2.0 * (x * z - w * y), w * w - x * x - y * y + z * z) * _DEG
-    pitch = np.arcsin(np.clip(2.0 * (y * z + w * x), -1.0, 1.0)) * _DEG
-    heading = np.arctan2(2.0 * (x * y - w * z), w * w - x * x + y * y - z * z) * _DEG % 360.0
+    roll, pitch, heading = _angles(found.state[:, S.Q])
     heading[(found.flags & SolutionFlag.HEADING) == 0] = np.nan
     t = data.seconds_of(found.t_ns)
     sigma = found.state[:, S.SIGMA_PHI] * _DEG
@@ -141,12 +147,9 @@ def attitude(data: PlotData) -> Picture | None:
         axes.set_ylabel(f"{name} (deg)")
         fit(axes, angle, floor=0.5, cover=1.0)
     if data.truth is not None:
-        tw, tx, ty, tz = data.truth.q_gv.T
-        true_heading = (
-            np.arctan2(2.0 * (tx * ty - tw * tz), tw * tw - tx * tx + ty * ty - tz * tz) * _DEG % 360.0
-        )
         t_true = data.seconds_of(data.truth.t_ns)
-        line(panels[2], t_true, broken(true_heading, 180.0), INK, "truth", linewidth=2.6, alpha=0.25)
+        for axes, angle in zip(panels, _angles(data.truth.q_gv), strict=True):
+            line(axes, t_true, broken(angle, 180.0), INK, "truth", linewidth=2.6, alpha=0.25)
     modes(panels, data)
     time_axis(panels, data)
     for axes in panels:
@@ -200,7 +203,7 @@ def biases(data: PlotData) -> Picture | None:
             fit(axes, bias - 3.0 * sigma, bias + 3.0 * sigma, cover=0.97)
         panels[0].set_title(name, loc="left", fontsize=10)
         modes(panels, data)
-        time_axis(panels, data)
+        time_axis(panels, data, float(t[0]))
     for axes in picture.column(1):
         legend(axes)
     return picture
@@ -231,7 +234,7 @@ def parameters(data: PlotData) -> Picture | None:
         axes.set_ylabel(f"{name}\n({unit})")
         fit(axes, state - 3.0 * sigma, state + 3.0 * sigma, cover=0.97)
     modes(panels, data)
-    time_axis(panels, data)
+    time_axis(panels, data, float(t[0]))
     for axes in panels:
         legend(axes)
     return picture
@@ -260,7 +263,8 @@ def _innovation(data: PlotData, kind: str, items: list[Innovation]) -> Picture:
     words = f"{len(items)} measurements, {int((~accepted).sum())} refused, {inside:.1%} inside 3 sigma"
     names, unit, factor = _RESIDUALS.get(kind, (tuple(str(place + 1) for place in range(width)), "SI", 1.0))
     residual, sigma = residual * factor, sigma * factor
-    picture = Picture(f"Innovations: {kind.replace('_', ' ')}", f"{data.title} · {words}", width)
+    name = kind.replace("_", " ").replace("gnss", "GNSS")
+    picture = Picture(f"Innovations: {name}", f"{data.title} · {words}", width)
     panels = picture.column()
     for axis, axes in enumerate(panels):
         band(axes, t, 0.0, sigma[:, axis], GREY, "3 sigma of the innovation")
@@ -273,7 +277,7 @@ def _innovation(data: PlotData, kind: str, items: list[Innovation]) -> Picture:
         axes.set_ylabel(f"{names[axis]} ({unit})")
         fit(axes, 3.0 * sigma[:, axis], -3.0 * sigma[:, axis], residual[:, axis])
     modes(panels, data)
-    time_axis(panels, data)
+    time_axis(panels, data, float(t[0]))
     for axes in panels:
         legend(axes)
     return picture
@@ -336,7 +340,7 @@ def _error_page(
             axes.set_ylabel(f"{names[axis]} ({unit})")
             fit(axes, 3.0 * sigma[:, axis], -3.0 * sigma[:, axis], error[:, axis], cover=0.99)
         modes(panels, data)
-        time_axis(panels, data)
+        time_axis(panels, data, float(t[0]))
         for axes in panels:
             legend(axes)
         return picture

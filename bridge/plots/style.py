@@ -100,6 +100,7 @@ class Picture:
     def save(self, path: Path) -> Path:
         """Write the picture as PNG."""
         with mpl.rc_context(_RC):
+            self.figure.align_ylabels()
             self.figure.savefig(path, dpi=DPI)
         return path
 
@@ -141,10 +142,11 @@ def modes(panels: Iterable[Axes], data: PlotData) -> None:
             axes.axvspan(begin, end, color=colour, linewidth=0.0, zorder=0, label=label)
 
 
-def time_axis(panels: Sequence[Axes], data: PlotData) -> None:
-    """Common limits, and the label on the lowest panel alone."""
+def time_axis(panels: Sequence[Axes], data: PlotData, begin: float = 0.0) -> None:
+    """Common limits from ``begin`` (s) on, and the label on the lowest panel alone."""
+    end = max(data.seconds, 1e-3)
     for axes in panels:
-        axes.set_xlim(0.0, max(data.seconds, 1e-3))
+        axes.set_xlim(min(begin, 0.98 * end), end)
     for axes in panels[:-1]:
         axes.tick_params(labelbottom=False)
     panels[-1].set_xlabel("time since the start of the capture (s)")
