@@ -116,8 +116,11 @@ def solve(window: Window) -> Fit | None:
         measured = np.array([f.v_g for f in fixes])
         claimed = np.array([f.sigma_velocity for f in fixes])
         floor, lever = VELOCITY_FLOOR, np.cross(rates, config.gnss_lever_arm)
+        t_v = t - config.gnss_velocity_age
         # gravity, Coriolis, and what the turning of g with the Earth does to the first term
-        known = t[:, None] * g - 2.0 * np.cross(w_ie, position) + 0.5 * t[:, None] ** 2 * np.cross(w_ie, g)
+        known = (
+            t_v[:, None] * g - 2.0 * np.cross(w_ie, position) + 0.5 * t_v[:, None] ** 2 * np.cross(w_ie, g)
+        )
     else:
         measured = position
         claimed = np.array([f.sigma_position for f in fixes])
@@ -129,7 +132,8 @@ def solve(window: Window) -> Fit | None:
     x = np.zeros(9)  # added gyro bias, added accelerometer bias, velocity at the start
     running(pieces, x[0:3], x[3:6], rows)
     C = dcm_from_quat(window.q_hb)
-    moved = (rows[:, V] if by_velocity else rows[:, P]) + _turned(rows, lever)
+    age = config.gnss_velocity_age
+    moved = _moved(rows, lever, t, age, by_velocity)
     u = (moved - moved[0]) @ C.T + known
     excited = (rows[:, V] @ C.T + t[:, None] * g)[:, :2]
     if float(np.sqrt(np.mean(np.sum((excited - excited.mean(axis=0)) ** 2, axis=1)))) < SMALLEST_EXCITATION:
@@ -146,7 +150,7 @@ def solve(window: Window) -> Fit | None:
     gravity = float(-g[2])
     for turn in range(6):
         running(pieces, x[0:3], x[3:6], rows)
-        moved = ((rows[:, V] if by_velocity else rows[:, P]) + _turned(rows, lever)) @ C.T
+        moved = _moved(rows, lever, t, age, by_velocity) @ C.T
         columns = np.zeros((len(t), 3, 15))
         columns[:, :, 0:3] = -skew(moved)
         gyro, accel = (V_GYRO, V_ACCEL) if by_velocity else (P_GYRO, P_ACCEL)
@@ -173,13 +177,28 @@ def solve(window: Window) -> Fit | None:
         if turn >= 3 and float(np.max(np.abs(delta[0:3]))) < 1e-4:
             break
     running(pieces, x[0:3], x[3:6], rows)
-    u = ((rows[:, V] if by_velocity else rows[:, P]) + _turned(rows, lever)) @ C.T + known
+    u = _moved(rows, lever, t, age, by_velocity) @ C.T + known
     if by_velocity:
         error, scale = _fit_heading(u[:, :2], measured[:, :2])
     else:
         error, scale = _fit_heading(_detrended(t, u[:, :2]), _detrended(t, measured[:, :2]))
     trusted = abs(scale - 1.0) < SCALE_SLACK and abs(error) < 0.2
     return Fit(C, x, cov[0:12, 0:12], formal, rows.copy(), trusted)
+
+
+def _moved(rows: Vector, lever: Vector, t: Vector, age: float, by_velocity: bool) -> Vector:
+    """What the fixes show of V (m/s), or P (m), (K, 3) in b at the start, with the lever arm's part.
+
+    A velocity that is ``age`` s older than its fix is met by going back along the mean acceleration since the
+    fix before.
+    """
+    if not by_velocity:
+        return np.asarray(rows[:, P] + _turned(rows, lever))
+    v = rows[:, V]
+    if age > 0.0:
+        slope = np.diff(v, axis=0) / np.diff(t)[:, None]
+        v = v - age * np.concatenate([slope[:1], slope])
+    return np.asarray(v + _turned(rows, lever))
 
 
 def _turned(rows: Vector, lever: Vector) -> Vector:

@@ -35,11 +35,13 @@ class _Chunk:
     end_ns: int
     dtheta: Vector
     dv: Vector
+    squares: Vector  # (6,) sums of squared rates and specific forces
+    samples: int
     piece: Vector
 
 
 def _chunk() -> _Chunk:
-    return _Chunk(0, np.zeros(3), np.zeros(3), empty())
+    return _Chunk(0, np.zeros(3), np.zeros(3), np.zeros(6), 0, empty())
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,7 @@ class Level:
     rate: Vector = field(default_factory=lambda: np.zeros(3))  # mean rate and force at rest, b
     force: Vector = field(default_factory=lambda: np.zeros(3))
     rate_m2: Vector = field(default_factory=lambda: np.zeros(3))  # weighted square deviations of chunk means
+    variance: Vector = field(default_factory=lambda: np.zeros(6))  # of single samples within a chunk
     chunks: int = 0
     seconds: float = 0.0
     waiting: tuple[_Chunk, ...] = ()
@@ -80,7 +83,11 @@ def _with_imu(state: Level, sample: ImuSample) -> Level:
     sample_piece(sample.dtheta, sample.dv, sample.dt, _ZERO, _ZERO, piece)
     total = state.open.piece.copy()
     extend(total, piece, _ZERO, _ZERO)
-    chunk = _Chunk(sample.t_ns, state.open.dtheta + sample.dtheta, state.open.dv + sample.dv, total)
+    old = state.open
+    squares = old.squares + (np.concatenate([sample.dtheta, sample.dv]) / sample.dt) ** 2
+    chunk = _Chunk(
+        sample.t_ns, old.dtheta + sample.dtheta, old.dv + sample.dv, squares, old.samples + 1, total
+    )
     return replace(state, open=chunk)
 
 
@@ -114,6 +121,7 @@ def _commit(state: Level, chunk: _Chunk) -> Level:
         # somebody moved the vehicle or the IMU: what was averaged holds no longer
         return Level(state.config, fix=state.fix, anchor=state.anchor, waiting=state.waiting)
     seconds = min(state.seconds, REMEMBER_S) + dt
+    variance = np.maximum(chunk.squares / chunk.samples - np.concatenate([rate, force]) ** 2, 0.0)
     change = rate - state.rate
     mean = state.rate + change * (dt / seconds)
     return replace(
@@ -121,6 +129,7 @@ def _commit(state: Level, chunk: _Chunk) -> Level:
         rate=mean,
         force=state.force + (force - state.force) * (dt / seconds),
         rate_m2=state.rate_m2 + change * (rate - mean),
+        variance=state.variance + (variance - state.variance) * (dt / seconds),
         chunks=state.chunks + 1,
         seconds=seconds,
     )
@@ -223,6 +232,8 @@ def finish(state: Level) -> NavInit:
         sigma_accel_bias=np.full(3, config.accel_bias),
         C_vb=mounting,
         sigma_mounting=None if mounting is None else np.array([slope, slope, 0.0 if known else np.pi]),
+        rest_rate=np.sqrt(state.variance[0:3]) if rested else None,
+        rest_force=np.sqrt(state.variance[3:6]) if rested else None,
     )
 
 

@@ -188,7 +188,7 @@ def finish(state: Match) -> NavInit:
     assert fit is not None
     dbg, dba, v0 = fit.x[0:3], fit.x[3:6], fit.x[6:9]
     last = epochs[-1].fix
-    total = fit.rows[-1].copy()
+    total_fix, total = fit.rows[-1], fit.rows[-1].copy()
     after = empty()
     piece = np.empty(SIZE)
     rate = epochs[-1].rate
@@ -209,7 +209,9 @@ def finish(state: Match) -> NavInit:
         # the fit runs through many fixes; the last one says it directly, and the better of the two is kept
         sigma_fit = np.sqrt(np.diag(_velocity_covariance(fit, total)))
         sigma_fix = np.hypot(last.sigma_velocity, VELOCITY_FLOOR)
-        v_fix = last.v_g - C_fix @ np.cross(rate, config.gnss_lever_arm) + C_fix @ after[V] + dt * g
+        since = (total_fix[V] - fit.rows[-2][V]) / (total_fix[DT] - fit.rows[-2][DT])
+        aged = config.gnss_velocity_age * (fit.C @ since + g)
+        v_fix = last.v_g + aged - C_fix @ np.cross(rate, config.gnss_lever_arm) + C_fix @ after[V] + dt * g
         v = np.where(sigma_fix < sigma_fit, v_fix, v)
     v_before = v - C_fix @ after[V] - dt * g
     step_g = v_before * dt + C_fix @ after[P] + 0.5 * dt**2 * g - l_g
@@ -288,6 +290,8 @@ def _hand_over(
         C_vb=C_vb,
         sigma_mounting=sigma_mounting,
         P=cov,
+        rest_rate=given.rest_rate,
+        rest_force=given.rest_force,
     )
 
 

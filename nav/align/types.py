@@ -44,6 +44,8 @@ class NavInit:
     has not estimated the mounting. ``P`` (15, 15), where given, is the whole covariance with its
     cross terms (the tilt of a levelled IMU is its accelerometer bias): errors, true minus
     estimate, of position and velocity (east, north, up), phi, gyro bias, accelerometer bias.
+    ``rest_rate`` (3,) rad/s and ``rest_force`` (3,) m/s^2 are the standard deviations of single samples
+    while the vehicle stood (engine running or not): what a standstill looks like to this IMU.
     """
 
     t_ns: int
@@ -62,6 +64,8 @@ class NavInit:
     C_vb: Vector | None = None
     sigma_mounting: Vector | None = None
     P: Vector | None = None
+    rest_rate: Vector | None = None
+    rest_force: Vector | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +76,8 @@ class AlignConfig:
     is left after compensation; ``angle_random_walk`` rad/sqrt(s), ``velocity_random_walk`` m/s/sqrt(s).
     ``coarse_s``, ``fine_s``: durations of a static alignment. ``position`` (lat rad, lon rad, height m)
     replaces a GNSS position where given, and is good to ``sigma_position`` m. ``sway`` m/s: rms velocity of
-    a standing vehicle with its engine and the wind. ``gnss_lever_arm`` (3,) m from IMU to antenna in b.
+    a standing vehicle with its engine and the wind. ``gnss_lever_arm`` (3,) m from IMU to antenna in b;
+    the velocity of a fix holds ``gnss_velocity_age`` s before its position (no more than a fix interval).
     ``C_vb`` (3, 3) is the mounting where known; None has it estimated. ``sigma_heading`` rad ends an
     alignment in motion, ``window_s`` bounds the motion it looks at, ``rest_s`` is the standstill it takes
     for levelling when the vehicle grants it. ``slope`` rad: standard deviation of the ground's inclination
@@ -89,6 +94,7 @@ class AlignConfig:
     sigma_position: float = 10.0
     sway: float = 0.003
     gnss_lever_arm: Vector = field(default_factory=lambda: np.zeros(3))
+    gnss_velocity_age: float = 0.0
     C_vb: Vector | None = None
     sigma_heading: float = math.radians(2.0)
     window_s: float = 40.0

@@ -52,7 +52,7 @@ def drive(seconds=60.0):
     return t, turn, speed
 
 
-def mems_drive(seed, *, velocity=True, rest=True, seconds=60.0, rate_hz=4.0, lever=(0.0, 0.0, 0.0)):
+def mems_drive(seed, *, velocity=True, rest=True, seconds=60.0, rate_hz=4.0, lever=(0.0, 0.0, 0.0), age=0.0):
     """Samples in order of arrival, and the truth at each of the IMU's: (C_gb, v_g, C_vb, biases)."""
     rng = np.random.default_rng(seed)
     t, turn, speed = drive(seconds)
@@ -88,7 +88,8 @@ def mems_drive(seed, *, velocity=True, rest=True, seconds=60.0, rate_hz=4.0, lev
         j = k - 4
         if j > first and j % every == 0:
             w_b = rotvec_from_quat(quat_from_dcm(C_gb[j - 1].T @ C_gb[j])) / DT
-            v_a = v[j] + 0.003 * (v[j + 1] - v[j]) / DT + C_gb[j] @ np.cross(w_b, lever_b)
+            i = j - round(age / DT)
+            v_a = v[i] + 0.003 * (v[i + 1] - v[i]) / DT + C_gb[j] @ np.cross(w_b, lever_b)
             p_a = p[j] + 0.003 * v[j] + C_gb[j] @ lever_b + 0.01 * rng.standard_normal(3)
             samples.append(
                 GnssFix(
@@ -169,6 +170,27 @@ def test_lever_arm_of_the_antenna():
     init, _ = align(samples, config)
     phi, _, _ = errors(init, truth)
     assert abs(phi[2]) < 4.0 * math.sqrt(init.P_phi[2, 2])
+
+
+def test_a_velocity_older_than_its_fix():
+    """Receivers that difference carrier phases give the mean velocity of the last interval."""
+    age = 0.12
+    samples, truth = mems_drive(31, age=age)
+    ratio = {}
+    for told in (0.0, age):
+        init, _ = align(samples, dataclasses.replace(MEMS, gnss_velocity_age=told))
+        phi, dv, _ = errors(init, truth)
+        ratio[told] = np.max(np.abs(dv))
+        assert abs(phi[2]) < 4.0 * math.sqrt(init.P_phi[2, 2])
+    assert ratio[age] < 0.15
+    assert ratio[age] < ratio[0.0]
+
+
+def test_the_noise_at_rest_is_handed_over():
+    samples, _ = mems_drive(3)
+    init, _ = align(samples)
+    np.testing.assert_allclose(init.rest_rate, MEMS.angle_random_walk / math.sqrt(DT), rtol=0.15)
+    np.testing.assert_allclose(init.rest_force, MEMS.velocity_random_walk / math.sqrt(DT), rtol=0.15)
 
 
 def test_a_known_mounting_is_kept():
