@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 from bridge.mavlink.ned import LocalFrame, Ned, to_ned
 from bridge.outputs import FixOut, Health, Innovation, ModeChange, Output, SolutionOut
 from nav.types import Mode, Solution, SolutionFlag
 
 _UNDER_WAY = (Mode.NAVIGATE, Mode.TRANSFER, Mode.DEGRADED)
+_WORST = 1e6  # of a ratio that goes out in single precision
 _GROUPS = {"position": "position", "velocity": "velocity", "baro": "height", "height": "height"}
 
 
@@ -35,8 +38,8 @@ class Picture:
                 self.solution = output.solution
                 self.mode = output.solution.mode
                 if self.origin is None and self.mode in _UNDER_WAY and self.has(SolutionFlag.POSITION):
-                    place = output.solution
-                    self.origin = LocalFrame(place.lat, place.lon, place.height)
+                    place = (output.solution.lat, output.solution.lon, output.solution.height)
+                    self.origin = LocalFrame(*place) if all(map(math.isfinite, place)) else None
             case ModeChange() if output.navigator == self.navigator:
                 self.mode = output.new
                 if output.new is Mode.ALIGN:
@@ -52,9 +55,8 @@ class Picture:
 
     def _take_innovation(self, innovation: Innovation) -> None:
         self.barometer_seen = self.barometer_seen or "baro" in innovation.kind
-        ratios = [
-            abs(r) / (3.0 * s) for r, s in zip(innovation.residual, innovation.sigma, strict=True) if s > 0.0
-        ]
+        pairs = zip(innovation.residual, innovation.sigma, strict=True)
+        ratios = [min(abs(residual) / (3.0 * sigma), _WORST) for residual, sigma in pairs if sigma > 0.0]
         for word, group in _GROUPS.items():
             if word in innovation.kind:
                 if group == "position" and len(ratios) == 3:

@@ -59,7 +59,8 @@ def _unsigned_mm(length: float | None) -> int:
 
 
 def _finite(*values: float) -> bool:
-    return all(math.isfinite(value) for value in values)
+    """Whether all are numbers that single precision can hold."""
+    return all(abs(value) < 1e30 for value in values)
 
 
 def heartbeat(picture: Picture, vehicle: int) -> Any:
@@ -193,7 +194,7 @@ def gps_raw_int(picture: Picture) -> Any:
     known = _finite(fix.lat, fix.lon, fix.height)
     lat, lon, height = (fix.lat, fix.lon, fix.height) if known else (0.0, 0.0, 0.0)
     speed, course = _UINT16_MAX, _UINT16_MAX
-    if fix.v_g is not None:
+    if fix.v_g is not None and _finite(*fix.v_g):
         east, north = float(fix.v_g[0]), float(fix.v_g[1])
         speed = _clamp(100.0 * math.hypot(east, north), 0, _UINT16_MAX - 1)
         course = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000
@@ -244,8 +245,8 @@ def estimator_status(picture: Picture) -> Any:
         0.0,
         0.0,
         0.0,
-        math.hypot(ned.sigma_p[0], ned.sigma_p[1]),
-        ned.sigma_p[2],
+        math.hypot(ned.sigma_p[0], ned.sigma_p[1]) if _finite(*ned.sigma_p) else math.nan,
+        ned.sigma_p[2] if _finite(*ned.sigma_p) else math.nan,
     )
 
 
