@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from nav.align.preintegrate import R, empty, extend, sample_piece
+from nav.align.preintegrate import DT, R, empty, extend, sample_piece
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import EARTH_RATE, normal_gravity
 from nav.rotation import quat_from_dcm, quat_multiply
@@ -23,7 +23,9 @@ MOVING_LEVEL: Final = 0.2  # rad: a mean acceleration of 2 m/s^2 over the second
 REST_SPEED: Final = 0.2  # m/s that GNSS may show at rest
 MOVING_SPEED: Final = 0.6  # m/s that GNSS must show before the vehicle is taken to move
 TURN_RATE: Final = math.radians(1.5)  # mean rate over a fix interval that is not a standstill
+TILT: Final = 0.03  # of g: a change of mean specific force that is not a standstill
 REMEMBER_S: Final = 60.0  # a longer standstill forgets: the bias of a warming sensor drifts
+MOST_WAITING: Final = 500  # fixes without a verdict
 MOVING_S: Final = 3.0  # seconds of motion looked at when there was no standstill
 _ZERO: Final = np.zeros(3)
 
@@ -96,6 +98,9 @@ def _with_fix(state: Level, fix: GnssFix) -> Level:
         return state
     speed, anchor = gnss_speed(fix, state.anchor)
     waiting = (*state.waiting, state.open) if state.open.end_ns else state.waiting
+    if len(waiting) > MOST_WAITING:
+        # neither at rest nor driving for very long: begin again
+        state, waiting = Level(state.config), ()
     state = replace(state, fix=fix, anchor=anchor, open=_chunk(), waiting=waiting)
     if speed is None:
         return state
@@ -105,21 +110,33 @@ def _with_fix(state: Level, fix: GnssFix) -> Level:
         return state
     # what lies before this fix, with a fix at rest on either side, was at rest
     state = replace(state, moving=False)
-    for chunk in state.waiting:
-        if chunk.end_ns <= fix.t_ns:
-            state = _commit(state, chunk)
-    return replace(state, waiting=tuple(c for c in state.waiting if c.end_ns > fix.t_ns))
+    left = list(waiting)
+    while left and left[0].end_ns <= fix.t_ns:
+        if _disturbed(state, left[0]):
+            if sum(float(chunk.piece[DT]) for chunk in left) < state.config.rest_s:
+                # driving off, or a push: what was averaged before holds, and the gyros carry it on
+                break
+            # it stands again: a new average
+            state = Level(state.config, fix=fix, anchor=anchor)
+        else:
+            state = _commit(state, left[0])
+        del left[0]
+    return replace(state, waiting=tuple(left))
+
+
+def _disturbed(state: Level, chunk: _Chunk) -> bool:
+    """Whether somebody moved the vehicle or the IMU."""
+    if state.chunks == 0:
+        return False
+    dt = float(chunk.piece[DT])
+    turned = float(np.linalg.norm(chunk.dtheta / dt - state.rate)) > TURN_RATE
+    force = chunk.dv / dt
+    return turned or float(np.linalg.norm(force - state.force)) > TILT * float(np.linalg.norm(force))
 
 
 def _commit(state: Level, chunk: _Chunk) -> Level:
-    dt = float(chunk.piece[-1])
+    dt = float(chunk.piece[DT])
     rate, force = chunk.dtheta / dt, chunk.dv / dt
-    turning = float(np.linalg.norm(rate - state.rate)) > TURN_RATE and state.chunks > 0
-    g = float(np.linalg.norm(force))
-    tilted = state.chunks > 0 and float(np.linalg.norm(force - state.force)) > 0.03 * g
-    if turning or tilted:
-        # somebody moved the vehicle or the IMU: what was averaged holds no longer
-        return Level(state.config, fix=state.fix, anchor=state.anchor, waiting=state.waiting)
     seconds = min(state.seconds, REMEMBER_S) + dt
     variance = np.maximum(chunk.squares / chunk.samples - np.concatenate([rate, force]) ** 2, 0.0)
     change = rate - state.rate
@@ -165,7 +182,7 @@ def level_dcm(f_b: Vector) -> Vector:
 
 
 def _motion_seconds(state: Level) -> float:
-    return float(sum(c.piece[-1] for c in state.waiting)) + float(state.open.piece[-1])
+    return float(sum(c.piece[-1] for c in state.waiting)) + float(state.open.piece[DT])
 
 
 def _status(state: Level) -> AlignStatus:
@@ -200,7 +217,7 @@ def finish(state: Level) -> NavInit:
         sigma_bias = np.sqrt(np.minimum(var, config.gyro_bias**2))
         for part in parts:
             extend(total, part.piece, bias, _ZERO)
-        after = float(total[-1])
+        after = float(total[DT])
         level_var = (config.accel_bias / 9.8) ** 2 + (float(np.max(sigma_bias)) * after) ** 2
         mounting: Vector | None = C if config.C_vb is None else config.C_vb
     else:

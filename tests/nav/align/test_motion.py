@@ -283,3 +283,19 @@ def test_reusing_a_piece_with_another_bias_equals_doing_it_again():
     # second order in bias times time: (1e-3)^2 of 5 m/s
     np.testing.assert_allclose(reused[V], again[V], atol=3e-5)
     np.testing.assert_allclose(reused[R], again[R], atol=1e-5)
+
+
+def test_a_push_before_driving_off_keeps_the_level_and_standing_again_renews_it():
+    samples, truth = mems_drive(9, velocity=False)
+    pushed = []
+    for s in samples:
+        if isinstance(s, ImuSample) and 6.0 < s.t_ns * 1e-9 <= 6.5:
+            # back and forth: half a second of 1 m/s^2
+            sign = 1.0 if s.t_ns * 1e-9 <= 6.25 else -1.0
+            s = dataclasses.replace(s, dv=s.dv + sign * np.array([0.02, 0.0, 0.0]))
+        pushed.append(s)
+    init, refusals = align(pushed)
+    assert not refusals
+    phi, _, _ = errors(init, truth)
+    assert init.rest_rate is not None  # it has been at rest
+    assert np.all(np.abs(phi) < 4.0 * np.sqrt(np.diag(init.P_phi)))
