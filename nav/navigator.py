@@ -17,6 +17,7 @@ from nav.earth import geodetic_to_xyz
 from nav.events import AlignmentProgress, ModeChange, NavEvent, Notice, Refusal
 from nav.filter.history import Timeline
 from nav.filter.initial import initial_state
+from nav.filter.mounting import MountingSearch, settle
 from nav.filter.settings import ImuErrors, NavigatorConfig, align_config, parameters
 from nav.filter.standstill import Rest, Standstill
 from nav.rotation import dcm_from_quat, quat_from_dcm
@@ -33,6 +34,7 @@ from nav.types import (
     Solution,
     SolutionFlag,
     SpeedSample,
+    Vector,
 )
 
 __all__ = ["ImuErrors", "NavInit", "Navigator", "NavigatorConfig"]
@@ -64,6 +66,7 @@ class Navigator:
         self._rest_ns: int | None = None
         self._degraded: str | None = None
         self._mounted = False
+        self._search = MountingSearch()
         self._flags = 0
         self._path_ns = 0
         self._odo_start_ns = 0
@@ -165,6 +168,7 @@ class Navigator:
         self._timeline.begin(init.t_ns, x, P)
         self._timeline.rest[:] = 0.0
         self._standstill = Standstill(self.config)
+        self._search = MountingSearch()
         self._first = None
         self._imu_ns = init.t_ns
         self._check_ns = init.t_ns
@@ -206,9 +210,11 @@ class Navigator:
             return
         if t >= self._check_ns:
             self._check_ns = t + _CHECK_NS
-            self._check(t, float(row[24]))
+            self._check(t, row)
         if self._timeline.rest[0] >= self.config.rest_interval - 1e-6:
             self._interval(t, row[S.V], float(row[19]))
+        if not self._mounted:
+            row[S.SIGMA_MOUNTING] = math.pi
         self._events.append(Solution(t, self.mode, self._flags, row))
 
     def _silence(self, last: int, silent: float, t: int) -> None:
@@ -228,7 +234,7 @@ class Navigator:
         self._gap_ns = t
         self._check_ns = t
 
-    def _interval(self, t: int, v_g: np.ndarray[tuple[int, ...], np.dtype[np.float64]], sigma: float) -> None:
+    def _interval(self, t: int, v_g: Vector, sigma: float) -> None:
         rest = self._standstill.interval(t, self._timeline.rest, v_g, sigma)
         if rest is not None:
             self._at_rest(rest)
@@ -327,8 +333,15 @@ class Navigator:
 
     # ---- every tenth of a second ---------------------------------------------------------------
 
-    def _check(self, t: int, sigma_heading: float) -> None:
+    def _check(self, t: int, row: Vector) -> None:
         config, timeline = self.config, self._timeline
+        if not self._mounted:
+            mounting = self._search.look(row)
+            if mounting is not None:
+                timeline.act(t, settle(mounting))
+                self._mounted = True
+                self._path_ns = t
+                self._events.append(Notice(t, "mounting of the IMU in the vehicle found"))
         if self._mounted and config.non_holonomic is not None:
             without = t - self._path_ns
             patience = 3.0 * config.odometer_interval if config.odometer else config.non_holonomic_interval
@@ -339,7 +352,7 @@ class Navigator:
         gnss = max(timeline.last_accepted("gnss_position"), timeline.last_accepted("gnss_velocity"))
         wheel = max(timeline.last_accepted("odometer"), timeline.last_accepted("speed"))
         flags = _ALIGNED
-        if sigma_heading < config.heading_limit:
+        if row[24] < config.heading_limit:
             flags |= SolutionFlag.HEADING
         if self._mounted:
             flags |= SolutionFlag.MOUNTING

@@ -47,8 +47,8 @@ def initial_state(init: NavInit, config: NavigatorConfig) -> tuple[Vector, Vecto
         sigma = init.sigma_mounting if init.sigma_mounting is not None else np.full(3, _MOUNTING_FOUND)
         d[st.MOUNTING] = sigma[[0, 2]]
     else:
+        # v is b until it is found; what is shown then is b's attitude, with b's sigma
         C_vb, known = np.eye(3), False
-        d[st.MOUNTING] = np.pi
     x[st.X_QV : st.X_QV + 4] = rot.quat_from_dcm(C_vb)
     x[st.X_Q0 : st.X_Q0 + 4] = x[st.X_QV : st.X_QV + 4]
     P[np.diag_indices(st.FULL)] = d**2

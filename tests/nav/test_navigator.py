@@ -338,6 +338,27 @@ def test_mounting_found_by_the_alignment_is_used():
         np.testing.assert_allclose(rot.dcm_from_quat(solution.state[S.Q]), C_gv, atol=1e-6)
 
 
+def test_mounting_is_found_on_the_first_drive():
+    """Nobody knows it at the start; course against attitude shows it, then it is refined."""
+    C_vb = rot.dcm_from_euler(2.0, 0.1, 0.0)
+    drive = Drive(C_vb=C_vb, sway=0.0, nod=0.0)
+    config = replace(PLAIN, C_vb=None, non_holonomic=0.05)
+    moving = samples(*drive.increments(3000, DT), DT)
+    solutions, events = play(started(config, drive), moving, fixes(30.0, drive=drive))
+    notices = [e for e in events if isinstance(e, Notice)]
+    assert len(notices) == 1
+    assert 9.8e9 < notices[0].t_ns < 11e9
+    assert not solutions[400].flags & SolutionFlag.MOUNTING
+    assert solutions[-1].flags & SolutionFlag.MOUNTING
+    phi, sigma = error_of(solutions[-1], drive)[6:], solutions[-1].state[S.SIGMA_PHI]
+    # the constraint is perfect here, 0.05 m/s are claimed of 7 to 17 m/s
+    assert abs(phi[2]) < 2e-3
+    assert 1e-4 < sigma[2] < 5e-3
+    innovations = [e for e in events if isinstance(e, Innovation) and e.kind == "non_holonomic"]
+    assert len(innovations) > 50
+    assert all(e.accepted for e in innovations)
+
+
 def test_same_samples_same_bits(inertial):
     first, _ = play(started(), inertial, fixes(SECONDS))
     again, _ = play(started(), inertial, fixes(SECONDS))

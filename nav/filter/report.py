@@ -1,0 +1,48 @@
+"""Covariance of what a solution says, with its cross terms: the readable twin of the row's sigmas."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from nav.earth import EARTH_RATE
+from nav.filter import states as st
+from nav.rotation import dcm_from_quat
+from nav.strapdown.kernels import X_C, X_Q
+from nav.types import Vector
+
+_UP: Final = slice(6, 9)  # third row of C_en: the vertical, seen from n
+
+
+def solution_covariance(x: Vector, P: Vector, par: Vector) -> Vector:
+    """Covariance (9, 9) of the errors of position, velocity and attitude of a solution.
+
+    Errors are solution minus truth of the output point: m, m/s, and the rotation vector (rad) that takes
+    the true vehicle attitude to the solution's; each east, north, up. ``x`` (X_SIZE,), ``P`` (N, N) and
+    ``par`` (P_SIZE,) as the filter has them. The square roots of the diagonal are the sigmas of
+    `nav.filter.propagate.solution_row`.
+    """
+    C_nb = dcm_from_quat(x[X_Q : X_Q + 4])
+    C_vb = dcm_from_quat(x[st.X_QV : st.X_QV + 4])
+    up = x[X_C : X_C + 9][_UP]
+    cos_lat = math.hypot(up[0], up[1])
+    sin_a, cos_a = (up[0] / cos_lat, up[1] / cos_lat) if cos_lat > 1e-14 else (0.0, 1.0)
+    C_gn = np.array([[cos_a, -sin_a, 0.0], [sin_a, cos_a, 0.0], [0.0, 0.0, 1.0]])
+    lever = par[st.P_LP : st.P_LP + 3]
+    w_eb_b = x[st.X_W : st.X_W + 3] - C_nb.T @ (EARTH_RATE * up)
+    C_nv = C_nb @ C_vb.T
+
+    T = np.zeros((9, len(P)))
+    T[0:3, st.POSITION] = C_gn
+    T[0:3, st.PHI] = C_gn @ _skew(C_nb @ lever)
+    T[3:6, st.VELOCITY] = C_gn
+    T[3:6, st.PHI] = C_gn @ _skew(C_nb @ np.cross(w_eb_b, lever))
+    T[6:9, st.PHI] = -C_gn
+    T[6:9, st.MOUNTING] = (C_gn @ C_nv)[:, [0, 2]]
+    return np.asarray(T @ P @ T.T)
+
+
+def _skew(v: Vector) -> Vector:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
