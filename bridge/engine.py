@@ -36,6 +36,7 @@ from bridge.outputs import (
     Text,
     Transmit,
 )
+from bridge.warm import warm_up
 from dbc.codec import contract
 from nav import events
 from nav.navigator import Navigator
@@ -84,10 +85,11 @@ class Engine:
     its peer. ``accept`` says, by source number, which keys anybody wants; a MAVLink source is not there:
     its peer listens to more than is worth listing.
 
-    Raises ConfigError when the configuration asks for what a driver or navigator cannot do.
+    It has every kernel compiled when it is made, unless told not to ``warm`` them. Raises ConfigError when
+    the configuration asks for what a driver or navigator cannot do.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, *, warm: bool = True) -> None:
         self._now = 0
         self._next_health: int | None = None
         self._quiet_until: dict[str, int] = {}
@@ -119,6 +121,8 @@ class Engine:
             else:
                 keys = {key for source, key in self._routes if source == number}
                 self.accept[number] = frozenset(keys | {self._command_codec.frame_id})
+        if warm:
+            warm_up()
 
     def _sensors(self, name: str, config: Config) -> dict[str, Counters]:
         kinds = provided(name, config)

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     from bridge.navigators import provided
 
     config = Config.load(args.config)
-    Engine(config)
+    Engine(config, warm=False)
     if args.resolved:
         print(config.resolved_toml(), end="")
         return 0

@@ -28,6 +28,9 @@ SLOPE_SPAN: Final = 1e9  # ns: with less the jitter of two points makes a worse 
 MAX_DRIFT: Final = 0.02  # beyond the worst uncalibrated oscillator
 EARLY: Final = 20e6  # ns before the line: no jitter does that, the counter has jumped ahead
 LATE: Final = 250e6  # ns after the line: either a very late frame or a counter that restarted
+LATE_ABSOLUTE: Final = (
+    30e9  # ns, of a counter that never wraps: GPS time does not restart, its link may stall
+)
 SETTLED: Final = 100_000_000  # ns of arrivals that must agree on a new offset before it is believed
 AGREE: Final = 20e6  # ns within which they must agree; frames of a late burst do not, they catch up
 
@@ -135,13 +138,13 @@ class DeviceClock:
         """Engine time at a place on the axis."""
         return axis_ns + self._base + round(self._height + self._slope * axis_ns)
 
-    def explain(self, axis_ns: int, arrival_ns: int) -> int | None:
-        """Take a point into the line and return its engine time; None where the line cannot explain it."""
+    def explain(self, axis_ns: int, arrival_ns: int, late: float) -> int | None:
+        """Take a point into the line; its engine time, or None where too early or beyond ``late`` (ns)."""
         slope, height = self._slope, self._height
         delay = arrival_ns - axis_ns - self._base
         x = float(axis_ns)
         above = delay - slope * x
-        if not -EARLY < above - height < LATE:
+        if not -EARLY < above - height < late:
             return None
         if above < height:  # no frame arrives before it is sent: the line was too high
             self._height = height = above
@@ -207,6 +210,7 @@ class ClockPort:
         "_clock",
         "_good_axis",
         "_last_axis",
+        "_late",
         "_latency",
         "_modulus",
         "_odd",
@@ -221,6 +225,7 @@ class ClockPort:
         self._clock = clock
         self._modulus = modulus_ns
         self._latency = latency_ns
+        self._late = LATE_ABSOLUTE if modulus_ns is None else LATE
         self._out = _NEVER
         self._resets = 0
         self._last_axis: int | None = None
@@ -246,7 +251,7 @@ class ClockPort:
                 self._good_axis = _NEVER
             last = self._last_axis
             self.elapsed_ns = None if last is None else axis - last
-            explained = clock.explain(axis, arrival)
+            explained = clock.explain(axis, arrival, self._late)
             if explained is not None:
                 self._odd = False
                 out = explained

@@ -137,8 +137,10 @@ class SensorsMavlink:
         port = self._ports[message.get_msgId()]
         if hasattr(message, "time_boot_ms"):
             counter = message.time_boot_ms * 10**6
-        else:
+        elif message.time_usec:
             counter = message.time_usec * 1000
+        else:
+            counter = rx_ns  # a sender without a clock leaves it at zero: arrival is all there is
         return port.stamp(counter, rx_ns), port.elapsed_ns
 
     def _inertial(self, message: Any, rx_ns: int) -> Sequence[Sample]:

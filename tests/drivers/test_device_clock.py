@@ -124,6 +124,20 @@ def test_a_burst_after_a_stall_keeps_the_devices_times() -> None:
     assert clock.resets == 0
 
 
+def test_a_link_that_falls_behind_does_not_move_gps_time() -> None:
+    """Ten seconds of fixes, each 2 s late: they are dated at their own time, to a millisecond."""
+    clock = DeviceClock()
+    port = clock.port(None, 60 * MS)
+    rng = np.random.default_rng(1)
+    for k in range(5 * 90):
+        true = START + k * 200 * MS
+        behind = 2 * S if 300 <= k < 350 else 0
+        out = port.stamp(10**18 + k * 200 * MS, true + 60 * MS + behind + round(rng.exponential(5 * MS)))
+        if k > 100:
+            assert abs(out - true) < 1 * MS
+    assert clock.resets == 0
+
+
 def test_a_long_silence_is_bridged_by_the_drift() -> None:
     """After 10 min without a frame the line is off by what drift it had wrong: under 0.1 ppm of 600 s."""
     points = [

@@ -168,6 +168,12 @@ def test_gps_input() -> None:
     assert rejects(gnss) == {"INVALID": 2, "RANGE": 3}
 
 
+def test_a_sender_without_a_clock_is_dated_by_arrival() -> None:
+    gnss = driver("GPS_INPUT", latency_ms=50.0)
+    fixes = [fix for k in range(5) for fix in gnss.feed(gps_input(k, time_usec=0))]
+    assert [fix.t_ns for fix in fixes] == [10**9 + k * 200 * MS - 50 * MS for k in range(5)]
+
+
 def test_gps_raw_int_has_speed_and_course() -> None:
     message = dialect.MAVLink_gps_raw_int_message(
         1, 5, 470_000_000, 80_000_000, 400_000, 100, 100, 1000, 9000, 9, 447_000, 500, 800, 100, 0
