@@ -1,0 +1,1 @@
+"""How errors of an inertial navigator grow."""

@@ -1,0 +1,61 @@
+"""What a navigator reports besides its solutions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nav.types import Mode, Solution
+
+
+@dataclass(frozen=True, slots=True)
+class ModeChange:
+    """The navigator changed its mode at ``t_ns``, and why."""
+
+    t_ns: int
+    old: Mode
+    new: Mode
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """One measurement against its prediction: residuals (computed minus measured) and sigmas, SI units.
+
+    ``kind`` is a name of the table of measurements. ``nis`` is the normalised innovation squared.
+    """
+
+    t_ns: int
+    kind: str
+    residual: tuple[float, ...]
+    sigma: tuple[float, ...]
+    nis: float
+    accepted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A sample of ``device`` was not used: ``reason`` is "stale", "invalid" or "standby"."""
+
+    t_ns: int
+    device: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentProgress:
+    """How far the alignment is (0 to 1) and what its attitude is good for, rad (3,) east, north, up."""
+
+    t_ns: int
+    progress: float
+    sigma: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """Something an operator should read once."""
+
+    t_ns: int
+    text: str
+
+
+NavEvent = Solution | ModeChange | Innovation | Refusal | AlignmentProgress | Notice
