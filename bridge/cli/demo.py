@@ -8,11 +8,9 @@ import select
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from typing import Any, Final
 
 import can
-import msgspec
 
 from bridge.assemble import Bridge
 from bridge.cli.sim import _positive, _seed, _speed
@@ -28,7 +26,6 @@ from bridge.view import ViewProcess, ViewSink
 from nav import rotation
 from virtual_bus import scenario
 from virtual_bus.bus import Bench, Sent
-from virtual_bus.manoeuvres import Static
 
 NAVIGATOR: Final = "main"
 CHANNEL: Final = "bench"
@@ -37,8 +34,7 @@ _TRUTH_NS: Final = 100_000_000
 _GPS_EPOCH_UNIX_S: Final = 315_964_800
 _WEEK_S: Final = 604_800
 _NS: Final = 1_000_000_000
-_LAG_S: Final = 0.5
-_SETTLE_S: Final = 5.0  # of the rest, left over for the first fixes and the catching up
+_LAG_S: Final = 0.5  # behind the host by more, a paced clock gives up catching up
 
 
 def add_parser(subparsers: Any) -> argparse.ArgumentParser:
@@ -165,25 +161,11 @@ def run(args: argparse.Namespace) -> int:
     bench.prepare()
     mavlink_url = None if args.mavlink == "none" else args.mavlink
     files = bench.files("virtual", CHANNEL, mavlink_url)
-    config = _fitted(Config.from_attachments({name: text.encode() for name, text in files.items()}), bench)
+    config = Config.from_attachments({name: text.encode() for name, text in files.items()})
     outcome, unrecorded, errors_found = _drive(args, bench, config)
     *lines, digest = outcome_lines(outcome, unrecorded)
     print(*lines, f"capture: {args.out}", *errors_found, digest, sep="\n", flush=True)
     return _INTERRUPTED if outcome.reason.startswith("stopped by") else 0
-
-
-def _fitted(config: Config, bench: Bench) -> Config:
-    """``config`` with a static alignment that ends before the vehicle of ``bench`` drives off."""
-    first = bench.scenario.manoeuvre[0]
-    options = config.navigators[NAVIGATOR]
-    if options.alignment != "static" or not isinstance(first, Static):
-        return config
-    rest_s = first.duration_s - _SETTLE_S
-    coarse_s = min(options.align.coarse_s, rest_s / 4.0)
-    fine_s = min(options.align.fine_s, rest_s - coarse_s)
-    align = msgspec.structs.replace(options.align, coarse_s=coarse_s, fine_s=fine_s)
-    fitted = msgspec.structs.replace(options, align=align)
-    return replace(config, navigators={**config.navigators, NAVIGATOR: fitted})
 
 
 def _drive(args: argparse.Namespace, bench: Bench, config: Config) -> tuple[Outcome, int, list[str]]:
