@@ -1,0 +1,1 @@
+"""Benchmarks as ratios within one run: run one with ``python -m tests.benchmarks.NAME``."""

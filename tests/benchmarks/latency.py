@@ -1,0 +1,144 @@
+"""Frame received to solution sent, against a bare python-can program that answers with equal frames.
+
+``python -m tests.benchmarks.latency`` prints the table. Both sides use python-can's virtual bus in this
+process and take turns, burst by burst: the bench sends what is due (most often the three frames of an
+inertial sample); the bridge's whole loop turns once: it receives, records, navigates and sends the solution,
+twelve frames each time. Then a bare loop receives three frames from a bus of its own and sends the same
+answer. Time is simulated, so nothing waits; the bridge records to disk as it does live.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+
+from bridge.assemble import Bridge
+from bridge.config import Config
+from tests.benchmarks.measure import print_table
+from virtual_bus.bus import Bench, Sent
+
+CHANNEL, ECHO = "latency-bridge", "latency-echo"
+SOLUTION_ID = 0x200
+
+
+class TimedBench:
+    """The loop's bench: puts a burst on the bus, then starts the stop-watch."""
+
+    def __init__(self, bench: Bench, bus: can.BusABC) -> None:
+        self._bench = bench
+        self._buses = dict.fromkeys(bench.channels, bus)
+        self._bus = bus
+        self._sent = Sent({})
+        self._start_ns: int | None = None
+        self.began_ns = 0
+
+    def send_due(self, now_ns: int) -> None:
+        """Send what is due at ``now_ns``."""
+        if self._start_ns is None:
+            self._start_ns = now_ns
+        self._bench.send_due(self._buses, min(now_ns - self._start_ns, self._bench.end_ns), self._sent)
+        self.began_ns = time.perf_counter_ns()
+
+    def next_ns(self) -> int | None:
+        """When the next burst is due."""
+        due = self._bench.next_ns
+        return None if due is None or due > self._bench.end_ns else due + (self._start_ns or 0)
+
+
+class TimedClock:
+    """Simulated time; when the loop has done its turn and waits, the stop-watch is read and the echo runs."""
+
+    host = False
+
+    def __init__(self, devices: can.BusABC, smallest: int) -> None:
+        self._smallest = smallest
+        self._now_ns = 1_000_000_000
+        self._devices = devices
+        self.bench: TimedBench | None = None
+        self.bridge_us: list[float] = []
+        self.echo_us: list[float] = []
+        self._bench_end = can.Bus(interface="virtual", channel=ECHO)
+        self._echo_end = can.Bus(interface="virtual", channel=ECHO)
+
+    def monotonic_ns(self) -> int:
+        """The simulated instant."""
+        return self._now_ns
+
+    def utc_ns(self) -> int:
+        """The simulated instant."""
+        return self._now_ns
+
+    def wait_until(self, ns: int, descriptors: Sequence[int] = ()) -> None:
+        """The end of a turn: read the stop-watch, let the bare loop do the same, go on."""
+        ended_ns = time.perf_counter_ns()
+        assert self.bench is not None
+        answer: list[can.Message] = []
+        while (message := self._devices.recv(0)) is not None:
+            answer.append(message)
+        if len(answer) >= self._smallest and any(message.arbitration_id == SOLUTION_ID for message in answer):
+            self.bridge_us.append((ended_ns - self.bench.began_ns) / 1e3)
+            self.echo_us.append(self._echo(answer))
+        self._now_ns = max(self._now_ns, ns)
+
+    def close(self) -> None:
+        """Release the buses of the echo."""
+        self._bench_end.shutdown()
+        self._echo_end.shutdown()
+
+    def _echo(self, answer: list[can.Message]) -> float:
+        """Three frames in, ``answer`` out, in a loop that does nothing else; us."""
+        for message in answer[:3]:
+            self._bench_end.send(message)
+        began_ns = time.perf_counter_ns()
+        while self._echo_end.recv(0) is not None:
+            pass
+        for message in answer:
+            self._echo_end.send(message)
+        took = (time.perf_counter_ns() - began_ns) / 1e3
+        while self._bench_end.recv(0) is not None:
+            pass
+        return took
+
+
+def measure(
+    folder: Path, seconds: float = 120.0, smallest: int = 12
+) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Microseconds from burst to answer, bridge and echo, for answers of ``smallest`` frames or more."""
+    bench = Bench("drive", seed=1, seconds=seconds)
+    bench.prepare()
+    files = bench.files("virtual", CHANNEL)
+    config = Config.from_attachments({name: text.encode() for name, text in files.items()})
+    devices = can.Bus(interface="virtual", channel=CHANNEL)
+    clock = TimedClock(devices, smallest)
+    try:
+        clock.bench = TimedBench(bench, devices)
+        with Bridge(config, clock, out=folder / "latency.mcap") as bridge:
+            bridge.live(bench=clock.bench).run()
+    finally:
+        clock.close()
+        devices.shutdown()
+    return np.array(clock.bridge_us), np.array(clock.echo_us)
+
+
+def main() -> int:
+    """Print the table."""
+    with tempfile.TemporaryDirectory() as folder:
+        bridge, echo = measure(Path(folder))
+    rows = []
+    for name, percent in (("median", 50.0), ("99 %", 99.0), ("99.9 %", 99.9)):
+        ours, bare = np.percentile(bridge, percent), np.percentile(echo, percent)
+        rows.append((name, f"{ours:.0f}", f"{bare:.0f}", f"{ours / bare:.2f}"))
+    title = f"frame received to solution sent, us, over {len(bridge)} solutions"
+    print_table(title, ("", "bridge", "bare echo", "ratio"), rows)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
