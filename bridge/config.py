@@ -106,7 +106,7 @@ class Config:
 
 def packaged_files() -> list[str]:
     """Names of the packaged configurations and of the files they use."""
-    return sorted(path.name for path in PACKAGED.glob("*.toml"))
+    return sorted(path.name for path in PACKAGED.iterdir() if path.suffix in (".toml", ".dbc"))
 
 
 def packaged_configs() -> list[str]:
