@@ -24,7 +24,7 @@ from nav.align.preintegrate import P_ACCEL, P_GYRO, V_ACCEL, V_GYRO, P, R, V, em
 from nav.align.types import AlignConfig, NavInit
 from nav.earth import earth_rate_g, gravity_g, radii
 from nav.rotation import dcm_from_quat, quat_from_rotvec
-from nav.types import GnssFix, Vector
+from nav.types import GnssFix, SpeedSample, Vector
 
 SMALLEST_EXCITATION: Final = 0.5  # m/s rms of integrated specific force about its mean
 VELOCITY_FLOOR: Final = 0.03  # m/s, time tags and vibration beyond what the receiver claims
@@ -52,6 +52,8 @@ class Fit:
     formal: float  # rad, heading sigma from the receiver's own claims, without the residuals' say
     rows: Vector  # (K, SIZE) running pieces with the corrected biases
     trusted: bool
+    forward: Vector | None = None  # the vehicle's forward axis in b, where speeds show it
+    forward_cov: Vector | None = None  # (3, 3) rad^2, of its end in b
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +61,7 @@ class Window:
     """What is fitted: the motion since the first of ``epochs``, and what was known before it.
 
     ``q_hb`` (4,): attitude at that fix, heading arbitrary; ``level_sigma`` rad: of its level, beyond what the
-    accelerometer bias explains.
+    accelerometer bias explains. ``speeds`` in the order of time.
     """
 
     config: AlignConfig
@@ -67,6 +69,7 @@ class Window:
     q_hb: Vector
     level_sigma: float
     epochs: tuple[Epoch, ...] = ()
+    speeds: tuple[SpeedSample, ...] = ()
 
 
 def local(fixes: list[GnssFix]) -> Vector:
@@ -90,7 +93,7 @@ def skew(rows: Vector) -> Vector:
     return out
 
 
-def _fit_heading(u: Vector, y: Vector) -> tuple[float, float]:
+def fit_heading(u: Vector, y: Vector) -> tuple[float, float]:
     """Rotation psi (rad, counter-clockwise) and scale that take ``u`` (K, 2) to ``y`` (K, 2).
 
     Both are level and each about its mean. Linear in (scale cos psi, scale sin psi) and the initial velocity.
@@ -139,9 +142,9 @@ def solve(window: Window) -> Fit | None:
     if float(np.sqrt(np.mean(np.sum((excited - excited.mean(axis=0)) ** 2, axis=1)))) < SMALLEST_EXCITATION:
         return None
     if by_velocity:
-        psi, _ = _fit_heading(u[:, :2], measured[:, :2])
+        psi, _ = fit_heading(u[:, :2], measured[:, :2])
     else:
-        psi, _ = _fit_heading(_detrended(t, u[:, :2]), _detrended(t, measured[:, :2]))
+        psi, _ = fit_heading(_detrended(t, u[:, :2]), _detrended(t, measured[:, :2]))
     C = dcm_from_quat(rotate_heading(window.q_hb, psi))
     start = np.zeros(3)  # position at the start, of the position match
     x[6:9] = measured[0] if by_velocity else (position[-1] - position[0]) / t[-1]
@@ -179,9 +182,9 @@ def solve(window: Window) -> Fit | None:
     running(pieces, x[0:3], x[3:6], rows)
     u = _moved(rows, lever, t, age, by_velocity) @ C.T + known
     if by_velocity:
-        error, scale = _fit_heading(u[:, :2], measured[:, :2])
+        error, scale = fit_heading(u[:, :2], measured[:, :2])
     else:
-        error, scale = _fit_heading(_detrended(t, u[:, :2]), _detrended(t, measured[:, :2]))
+        error, scale = fit_heading(_detrended(t, u[:, :2]), _detrended(t, measured[:, :2]))
     trusted = abs(scale - 1.0) < SCALE_SLACK and abs(error) < 0.2
     return Fit(C, x, cov[0:12, 0:12], formal, rows.copy(), trusted)
 

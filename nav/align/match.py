@@ -12,14 +12,15 @@ from typing import Final
 
 import numpy as np
 
+from nav.align.driven import solve_driven
 from nav.align.fit import POSITION_FLOOR, VELOCITY_FLOOR, Epoch, Fit, Window, local, skew, solve
 from nav.align.level import UNKNOWN_HEADING
-from nav.align.mounting import Mounting, find_mounting
+from nav.align.mounting import Mounting, find_mounting, mounting_from_axis
 from nav.align.preintegrate import DT, R_GYRO, SIZE, V_ACCEL, V_GYRO, P, R, V, empty, extend, sample_piece
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import earth_rate_g, gravity_g, radii
 from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_multiply
-from nav.types import GnssFix, ImuFlag, ImuSample, Sample, Vector
+from nav.types import GnssFix, ImuFlag, ImuSample, Sample, SpeedSample, Vector
 
 LONGEST_SILENCE: Final = 10.0  # s without a fix before starting again
 SOLVE_EVERY: Final = 0.5  # s
@@ -27,6 +28,8 @@ FEWEST_FIXES: Final = 5
 LONGEST_WINDOW_FIXES: Final = 400
 MOUNTING_LIMIT: Final = math.radians(4.0)
 LEVEL_LOST: Final = 0.3  # rad
+SPEED_EVERY_NS: Final = 90_000_000  # more is not kept
+SPEED_BEFORE_NS: Final = 3_000_000_000  # of the window's first fix
 _ZERO: Final = np.zeros(3)
 
 
@@ -66,11 +69,21 @@ def step(state: Match, sample: Sample) -> tuple[Match, AlignStatus]:
         state = replace(state, imu_ns=sample.t_ns)
     elif isinstance(sample, GnssFix):
         state = replace(state, queue=(*state.queue, sample)[-16:])
+    elif isinstance(sample, SpeedSample):
+        state = replace(state, window=_with_speed(state.window, sample))
     while state.queue and state.queue[0].t_ns <= state.imu_ns:
         fix, state = state.queue[0], replace(state, queue=state.queue[1:])
         if fix.t_ns > state.last_ns:
             state = replace(_close(state, fix), last_ns=fix.t_ns)
     return state, state.status
+
+
+def _with_speed(window: Window, sample: SpeedSample) -> Window:
+    since_ns = window.epochs[0].fix.t_ns if window.epochs else sample.t_ns
+    if window.speeds and sample.t_ns < window.speeds[-1].t_ns + SPEED_EVERY_NS:
+        return window
+    kept = tuple(s for s in window.speeds if s.t_ns > since_ns - SPEED_BEFORE_NS)
+    return replace(window, speeds=(*kept, sample))
 
 
 def _refuse(state: Match, reason: str) -> tuple[Match, AlignStatus]:
@@ -90,7 +103,9 @@ def _close(state: Match, fix: GnssFix) -> Match:
     state = replace(state, window=window)
     if len(window.epochs) < FEWEST_FIXES or (fix.t_ns - state.solved_ns) * 1e-9 < SOLVE_EVERY:
         return state
-    fit = solve(window)
+    # a receiver's velocity shows more than a speed; without it speeds are far better than positions alone
+    driven = window.speeds and any(e.fix.v_g is None for e in window.epochs)
+    fit = solve_driven(window) if driven else solve(window)
     mounting = None if fit is None else _mounting(window, fit)
     status = _status(window, fit, mounting)
     return replace(state, solved_ns=fix.t_ns, fit=fit, mounting=mounting, status=status)
@@ -156,6 +171,8 @@ def _mounting(window: Window, fit: Fit) -> Mounting | None:
         # never seen at rest: the mean vertical of the drive so far, as good as roads and suspension are level
         up_b = np.mean(C_gb[:, 2, :], axis=0)
         up_b, sigma_up = up_b / np.linalg.norm(up_b), math.hypot(0.05, window.config.slope)
+    if fit.forward is not None and fit.forward_cov is not None:
+        return mounting_from_axis(fit.forward, fit.forward_cov, up_b, sigma_up)
     rate_up = np.einsum("kj,kj->k", C_gb[:, 2, :], rates)
     return find_mounting(C_gb, v, rate_up, up_b, sigma_up, VELOCITY_FLOOR, math.sqrt(float(fit.cov[2, 2])))
 

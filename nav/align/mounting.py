@@ -62,3 +62,16 @@ def find_mounting(
     own = max(1.0 / float(np.sum(weight)), scatter / len(speed)) * 4.0 + COURSE_NOISE**2 / 4.0
     sigma = np.array([math.sqrt(own), sigma_up, math.sqrt(own + sigma_heading**2)])
     return Mounting(np.stack([x, y, z]), sigma)
+
+
+def mounting_from_axis(forward: Vector, covariance: Vector, up_b: Vector, sigma_up: float) -> Mounting:
+    """Mounting from the forward axis ``forward`` (3,) in b and ``up_b`` (3,), known to ``sigma_up`` rad.
+
+    ``covariance`` (3, 3) rad^2: of the axis' end, in b.
+    """
+    z = up_b - forward * (forward @ up_b)
+    z /= np.linalg.norm(z)
+    x = np.cross(forward, z)
+    # the axis moves up by a turn about right, and to the left by one about up
+    sigma = np.array([math.sqrt(z @ covariance @ z), sigma_up, math.sqrt(x @ covariance @ x)])
+    return Mounting(np.stack([x, forward, z]), sigma)

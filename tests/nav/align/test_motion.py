@@ -26,7 +26,7 @@ from nav.align.preintegrate import (
 )
 from nav.earth import earth_rate_g, gravity_g, radii
 from nav.rotation import dcm_from_euler, dcm_from_quat, quat_from_dcm, rotvec_from_quat
-from nav.types import FixType, GnssFix, ImuFlag, ImuSample
+from nav.types import FixType, GnssFix, ImuFlag, ImuSample, SpeedSample
 
 LAT, LON, HEIGHT = math.radians(40.1), math.radians(-105.1), 1600.0
 DT = 0.02
@@ -52,7 +52,18 @@ def drive(seconds=60.0):
     return t, turn, speed
 
 
-def mems_drive(seed, *, velocity=True, rest=True, seconds=60.0, rate_hz=4.0, lever=(0.0, 0.0, 0.0), age=0.0):
+def mems_drive(
+    seed,
+    *,
+    velocity=True,
+    rest=True,
+    seconds=60.0,
+    rate_hz=4.0,
+    lever=(0.0, 0.0, 0.0),
+    age=0.0,
+    speed_sigma=None,
+    sigma_position=0.01,
+):
     """Samples in order of arrival, and the truth at each of the IMU's: (C_gb, v_g, C_vb, biases)."""
     rng = np.random.default_rng(seed)
     t, turn, speed = drive(seconds)
@@ -90,20 +101,24 @@ def mems_drive(seed, *, velocity=True, rest=True, seconds=60.0, rate_hz=4.0, lev
             w_b = rotvec_from_quat(quat_from_dcm(C_gb[j - 1].T @ C_gb[j])) / DT
             i = j - round(age / DT)
             v_a = v[i] + 0.003 * (v[i + 1] - v[i]) / DT + C_gb[j] @ np.cross(w_b, lever_b)
-            p_a = p[j] + 0.003 * v[j] + C_gb[j] @ lever_b + 0.01 * rng.standard_normal(3)
+            p_a = p[j] + 0.003 * v[j] + C_gb[j] @ lever_b + sigma_position * rng.standard_normal(3)
             samples.append(
                 GnssFix(
                     t_ns=round(t[j] * 1e9) + 3_000_000,
                     lat=LAT + p_a[1] / (r_m + HEIGHT),
                     lon=LON + p_a[0] / ((r_n + HEIGHT) * math.cos(LAT)),
                     height=HEIGHT + p_a[2],
-                    sigma_position=np.full(3, 0.01),
+                    sigma_position=np.full(3, sigma_position),
                     v_g=v_a + 0.05 * rng.standard_normal(3) if velocity else None,
                     sigma_velocity=np.full(3, 0.05) if velocity else None,
                     fix_type=FixType.RTK_FIXED,
                     device="gnss",
                 )
             )
+            if speed_sigma is not None:
+                s_j = speed[j] + 0.003 * (speed[j + 1] - speed[j]) / DT
+                s_j += speed_sigma * rng.standard_normal()
+                samples.append(SpeedSample(samples[-1].t_ns, s_j, speed_sigma, "speed"))
     return samples, truth
 
 
@@ -149,6 +164,29 @@ def test_any_heading_and_mounting_is_found_and_sigma_is_honest(velocity, seeds):
     assert math.sqrt(np.mean(np.square(ratio))) < slack
     assert math.sqrt(np.mean(np.square(mounting_ratio))) < slack
     assert np.mean(nees) < 3.0 * slack**2
+
+
+def test_a_speed_shows_level_heading_and_mounting_to_a_vehicle_that_never_stands():
+    # once a second a position good to 1 m and a speed, no velocity; at first no level either
+    seeds = 10
+    phis, ratio, mounting_ratio = [], [], []
+    for seed in range(seeds):
+        samples, truth = mems_drive(
+            seed, velocity=False, rest=False, rate_hz=1.0, speed_sigma=0.1, sigma_position=1.0
+        )
+        init, refusals = align(samples)
+        assert not refusals
+        assert init is not None
+        assert init.t_ns * 1e-9 < REST + 8.0 + 35.0
+        phi, dv, mounting = errors(init, truth)
+        assert np.max(np.abs(dv)) < 1.0
+        phis.append(phi / np.sqrt(np.diag(init.P_phi)))
+        ratio.append(phi[2] / math.radians(2.0))
+        mounting_ratio.append(mounting[[0, 2]] / init.sigma_mounting[[0, 2]])
+    # as above; 2 deg is what the alignment waits for
+    assert math.sqrt(np.mean(np.square(phis))) < 1.0 + 2.0 / math.sqrt(2.0 * 3 * seeds)
+    assert math.sqrt(np.mean(np.square(ratio))) < 1.0 + 2.0 / math.sqrt(2.0 * seeds)
+    assert math.sqrt(np.mean(np.square(mounting_ratio))) < 1.0 + 2.0 / math.sqrt(2.0 * 2 * seeds)
 
 
 def test_a_moving_start_is_levelled_by_the_motion_itself():
