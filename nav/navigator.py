@@ -18,6 +18,7 @@ from nav.events import AlignmentProgress, ModeChange, NavEvent, Notice, Refusal
 from nav.filter.history import Timeline
 from nav.filter.initial import initial_state
 from nav.filter.mounting import MountingSearch, settle
+from nav.filter.report import solution_covariance
 from nav.filter.settings import ImuErrors, NavigatorConfig, align_config, parameters
 from nav.filter.standstill import Rest, Standstill
 from nav.rotation import dcm_from_quat, quat_from_dcm
@@ -91,6 +92,11 @@ class Navigator:
         self._run = None
         self._change(t_ns, Mode.STANDBY, "stop")
         return self._drain()
+
+    def covariance(self) -> Vector:
+        """Covariance (9, 9) of the present solution's errors, see `solution_covariance`; while navigating."""
+        live = self._timeline.live
+        return solution_covariance(live.x, live.P, self._timeline.par)
 
     # ---- samples -------------------------------------------------------------------------------
 
@@ -167,7 +173,7 @@ class Navigator:
         x, P, self._mounted = initial_state(init, self.config)
         self._timeline.begin(init.t_ns, x, P)
         self._timeline.rest[:] = 0.0
-        self._standstill = Standstill(self.config)
+        self._standstill = Standstill(self.config, init)
         self._search = MountingSearch()
         self._first = None
         self._imu_ns = init.t_ns

@@ -52,6 +52,12 @@ def initial_state(init: NavInit, config: NavigatorConfig) -> tuple[Vector, Vecto
     x[st.X_QV : st.X_QV + 4] = rot.quat_from_dcm(C_vb)
     x[st.X_Q0 : st.X_Q0 + 4] = x[st.X_QV : st.X_QV + 4]
     P[np.diag_indices(st.FULL)] = d**2
-    P[st.PHI, st.PHI] = init.P_phi
+    if init.P is not None:
+        # the alignment's errors are true minus estimate but for phi
+        sign = np.ones(15)
+        sign[st.PHI] = -1.0
+        P[:15, :15] = init.P * np.outer(sign, sign)
+    else:
+        P[st.PHI, st.PHI] = init.P_phi
     n = config.states
     return x, P[:n, :n].copy(), known

@@ -58,8 +58,9 @@ class NavigatorConfig:
     - ``non_holonomic``: sigma m/s of the velocity across, None switches the constraint off;
       ``slip`` s: its growth per lateral acceleration; ``non_holonomic_interval``
     - ``zero_velocity`` sigma m/s, None: off; ``zero_rate`` rad/s sigma added to the white noise, None: off
-    - ``rest_gyro`` rad/s, ``rest_accel`` m/s^2: standard deviations over updates below which an IMU stands
-      still, ``rest_speed`` m/s: and the speed; ``rest_interval``: over how long
+    - ``rest_gyro`` rad/s, ``rest_accel`` m/s^2: standard deviations (of the vector, over updates) below which
+      an IMU stands still, None: from what the alignment saw at rest; ``rest_speed`` m/s: and the speed;
+      ``rest_interval``: over how long
     - ``baro_bias`` m initial sigma, ``baro_wander`` m/sqrt(s)
     - ``gap_limit``: a longer silence of the IMU ends navigation; ``gap_rate`` rad/s and ``gap_accel`` m/s^2
       may pass unseen in a shorter one
@@ -94,8 +95,8 @@ class NavigatorConfig:
     mounting_walk: float = 1e-6
     zero_velocity: float | None = 0.01
     zero_rate: float | None = None
-    rest_gyro: float = 0.01
-    rest_accel: float = 0.15
+    rest_gyro: float | None = None
+    rest_accel: float | None = None
     rest_speed: float = 0.5
     rest_interval: float = 0.5
     baro_bias: float = 30.0
@@ -125,6 +126,7 @@ def align_config(config: NavigatorConfig) -> AlignConfig:
         angle_random_walk=imu.angle_random_walk,
         velocity_random_walk=imu.velocity_random_walk,
         gnss_lever_arm=config.gnss_lever_arm,
+        gnss_velocity_age=config.gnss_velocity_age,
         C_vb=config.C_vb,
     )
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nav.align.types import NavInit
 from nav.filter.settings import NavigatorConfig
 from nav.types import OdoSample, Vector
 
@@ -19,11 +20,22 @@ class Rest:
     rate_b: Vector
 
 
+def _limit(configured: float | None, seen: Vector | None, least: float, usual: float) -> float:
+    """Standard deviation below which an IMU is quiet: twice what it showed at rest."""
+    if configured is not None:
+        return configured
+    return usual if seen is None else max(least, 2.0 * float(np.sqrt(seen @ seen)))
+
+
 class Standstill:
     """Cuts time into intervals and says which of them were spent at rest."""
 
-    def __init__(self, config: NavigatorConfig) -> None:
+    def __init__(self, config: NavigatorConfig, init: NavInit | None = None) -> None:
         self._config = config
+        seen_rate = None if init is None else init.rest_rate
+        seen_force = None if init is None else init.rest_force
+        self._gyro = _limit(config.rest_gyro, seen_rate, 2e-3, 0.01)
+        self._accel = _limit(config.rest_accel, seen_force, 0.03, 0.15)
         self._since_ns: int | None = None  # the odometer has stood since then
         self._odo_ns: int | None = None
         self._waiting: list[Rest] = []
@@ -42,7 +54,7 @@ class Standstill:
         gyro = float(rest[8] / n - rate @ rate)
         accel = float(rest[9] / n - force @ force)
         rest[:] = 0.0
-        quiet = gyro < config.rest_gyro**2 and accel < config.rest_accel**2
+        quiet = gyro < self._gyro**2 and accel < self._accel**2
         found = Rest(start, t_ns, rate)
         if self._odo_ns is not None and t_ns - self._odo_ns < 1_000_000_000:
             # the wheel's word on the end of the interval may still be on its way
