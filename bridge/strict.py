@@ -98,9 +98,7 @@ def _show(found: object) -> str:
 
 
 def _members(target: Any) -> tuple[Any, ...]:
-    """The alternatives of a union, or the type alone; Annotated peeled off for looking inside."""
-    if isinstance(target, typing.TypeAliasType) if hasattr(typing, "TypeAliasType") else False:
-        target = target.__value__
+    """The alternatives of a union, or the type alone."""
     origin = typing.get_origin(target)
     if origin is typing.Union or origin is types.UnionType:
         return typing.get_args(target)
