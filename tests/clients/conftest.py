@@ -68,7 +68,7 @@ class Demo:
     def stop(self) -> str:
         """End the demo in order; returns what it printed."""
         self.process.send_signal(signal.SIGINT)
-        printed, _ = self.process.communicate(timeout=60.0)
+        printed, _ = self.process.communicate(timeout=240.0)
         assert self.process.returncode == 130
         return printed
 

@@ -53,7 +53,7 @@ def test_pace_hash_seed_process_and_folder_change_nothing(
         [sys.executable, "-m", "bridge.cli", *options(elsewhere, "20")],
         capture_output=True,
         text=True,
-        timeout=120.0,
+        timeout=240.0,
         check=True,
         cwd=elsewhere,
         env={**os.environ, "PYTHONHASHSEED": "4711"},

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from tests.clients.conftest import Demo
 
-PATIENCE_S = 60.0  # a machine that does much else
+PATIENCE_S = 240.0  # a demo that compiles its kernels first, on a machine that does much else
 
 
 @pytest.fixture
@@ -61,6 +61,6 @@ def test_a_live_run_that_was_commanded_replays_equal(demo: Demo, station: Any) -
 
     digest = demo.stop().splitlines()[-1].removeprefix("solution sha256: ")
     replay = [sys.executable, "-m", "bridge.cli", "replay", str(demo.capture), "--golden", digest]
-    done = subprocess.run(replay, capture_output=True, text=True, timeout=120.0, check=False)
+    done = subprocess.run(replay, capture_output=True, text=True, timeout=240.0, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.splitlines()[-1] == f"solution sha256: {digest}"
