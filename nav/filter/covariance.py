@@ -100,14 +100,15 @@ def predict(
     rad^2/s). ``work`` (18, FULL) is scratch. Twin of `predict_readable`.
     """
     n = P.shape[0]
-    A = work[9:18]
-    _nav_block(A, mid, dt)
+    # the transpose is what both products below walk along
+    B = work[9:18]
+    _nav_block(B[:, 0:9].T, mid, dt)
     # Y = (I + A) P, rows of the nine, all columns
     for i in range(9):
         for c in range(n):
             work[i, c] = P[i, c]
         for k in range(9):
-            a = A[i, k]
+            a = B[k, i]
             if a != 0.0:
                 for c in range(n):
                     work[i, c] += a * P[k, c]
@@ -125,24 +126,23 @@ def predict(
                     work[3 + i, c] -= u * P[22 + k, c]
     # the nine by nine corner: Y (I + A)' and Y's own columns of the sensor states
     for i in range(9):
-        for j in range(i, 9):
-            t = work[i, j]
-            for k in range(9):
-                t += work[i, k] * A[j, k]
-            if j >= 6:
-                o = M_C + 3 * (j - 6)
-                for k in range(3):
-                    t += work[i, 9 + k] * mid[o + k] * dt
-                    if n > 19:
-                        t += work[i, 19 + k] * mid[o + k] * w_b[k] * dt
-            elif j >= 3:
-                o = M_C + 3 * (j - 3)
-                for k in range(3):
-                    t -= work[i, 12 + k] * mid[o + k] * dt
-                    if n > 19:
-                        t -= work[i, 22 + k] * mid[o + k] * f_b[k] * dt
-            P[i, j] = t
-            P[j, i] = t
+        for j in range(9):
+            P[i, j] = work[i, j]
+        for k in range(9):
+            a = work[i, k]
+            for j in range(9):
+                P[i, j] += a * B[k, j]
+        for k in range(3):
+            a, u = work[i, 9 + k] * dt, work[i, 12 + k] * dt
+            if n > 19:
+                a += work[i, 19 + k] * w_b[k] * dt
+                u += work[i, 22 + k] * f_b[k] * dt
+            for j in range(3):
+                P[i, 6 + j] += a * mid[M_C + 3 * j + k]
+                P[i, 3 + j] -= u * mid[M_C + 3 * j + k]
+    for i in range(9):
+        for j in range(i):
+            P[i, j] = P[j, i]
     for c in range(9, n):
         for i in range(9):
             P[i, c] = work[i, c]
