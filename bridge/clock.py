@@ -1,7 +1,8 @@
-"""The clock as an object: the host's, a faster or slower one, and a simulated one that jumps."""
+"""The clock as an object: the host's, and a simulated one that jumps."""
 
 from __future__ import annotations
 
+import math
 import select
 import time
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from typing import Final, Protocol
 _STEP_NS: Final = 1_000_000  # adjustment of a disciplined clock stays below: 500 ppm for 100 ms is 50 us
 _READING_NS: Final = 20_000
 _SECOND: Final = 1e9
+_LAG_S: Final = 0.5  # further behind the host, a paced clock gives up catching up
 
 
 class Clock(Protocol):
@@ -48,42 +50,20 @@ class HostClock:
         _wait((ns - time.monotonic_ns()) / _SECOND, descriptors)
 
 
-class ScaledClock:
-    """Runs ``speed`` times as fast as the host's clock, beginning with it."""
-
-    host = False
-
-    def __init__(self, speed: float) -> None:
-        if not speed > 0.0:
-            raise ValueError(f"the speed of a clock must be above zero, not {speed}")
-        self._speed = speed
-        self._start_ns = time.monotonic_ns()
-        self._start_utc_ns = time.time_ns()
-
-    def monotonic_ns(self) -> int:
-        """Nanoseconds, scaled from the start."""
-        return self._start_ns + self._elapsed_ns()
-
-    def utc_ns(self) -> int:
-        """UTC as this clock has it: the start and what has passed, scaled."""
-        return self._start_utc_ns + self._elapsed_ns()
-
-    def wait_until(self, ns: int, descriptors: Sequence[int] = ()) -> None:
-        """Sleep the scaled time."""
-        _wait((ns - self.monotonic_ns()) / (_SECOND * self._speed), descriptors)
-
-    def _elapsed_ns(self) -> int:
-        return round((time.monotonic_ns() - self._start_ns) * self._speed)
-
-
 class SimulatedClock:
-    """Stands still while the program works; waiting moves it. Two runs see the same instants."""
+    """Stands still while the program works; waiting moves it, so two runs see the same instants.
+
+    It jumps, or keeps pace with ``speed`` times the host's clock. When the machine is too slow for
+    that it falls behind instead of stamping late.
+    """
 
     host = False
 
-    def __init__(self, utc_ns: int, monotonic_ns: int = 0) -> None:
-        self._now_ns = monotonic_ns
+    def __init__(self, utc_ns: int, monotonic_ns: int = 0, speed: float = math.inf) -> None:
+        self._speed = speed
         self._utc_offset_ns = utc_ns - monotonic_ns
+        self._now_ns = self._origin_ns = monotonic_ns
+        self._began_s = time.monotonic()
 
     def monotonic_ns(self) -> int:
         """The simulated instant."""
@@ -94,7 +74,14 @@ class SimulatedClock:
         return self._now_ns + self._utc_offset_ns
 
     def wait_until(self, ns: int, descriptors: Sequence[int] = ()) -> None:
-        """Jump to ``ns``; descriptors are read at the next poll anyway."""
+        """Move to ``ns`` when the host has come as far, or to where it is when there is input."""
+        if math.isfinite(self._speed):
+            ahead_s = (ns - self._origin_ns) / (_SECOND * self._speed) - (time.monotonic() - self._began_s)
+            if ahead_s < -_LAG_S:
+                self._began_s -= ahead_s  # what was lost is lost: no rush to make up for it
+            elif ahead_s > 0.0 and select.select(descriptors, (), (), ahead_s)[0]:
+                host_s = time.monotonic() - self._began_s
+                ns = min(ns, self._origin_ns + round(host_s * self._speed * _SECOND))
         self._now_ns = max(self._now_ns, ns)
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import select
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any, Final
@@ -14,7 +12,7 @@ import can
 
 from bridge.assemble import Bridge
 from bridge.cli.sim import _positive, _seed, _speed
-from bridge.clock import Clock, SimulatedClock
+from bridge.clock import SimulatedClock
 from bridge.config import Config
 from bridge.errors import ConfigError
 from bridge.evaluate import SolutionTable, TruthTable, errors, summary, table, truth_document
@@ -34,7 +32,6 @@ _TRUTH_NS: Final = 100_000_000
 _GPS_EPOCH_UNIX_S: Final = 315_964_800
 _WEEK_S: Final = 604_800
 _NS: Final = 1_000_000_000
-_LAG_S: Final = 0.5  # behind the host by more, a paced clock gives up catching up
 
 
 def add_parser(subparsers: Any) -> argparse.ArgumentParser:
@@ -189,46 +186,12 @@ def _drive(args: argparse.Namespace, bench: Bench, config: Config) -> tuple[Outc
     return outcome, unrecorded, truth.lines()
 
 
-class PacedClock:
-    """Simulated time that keeps pace with ``speed`` times the host's, or falls behind it.
-
-    Like a simulated clock it stands still while the program works, so what the bench sends is stamped at
-    its own time however slow the machine is, and two runs see the same instants.
-    """
-
-    host = False
-
-    def __init__(self, utc_ns: int, speed: float, monotonic_ns: int = 0) -> None:
-        self._speed = speed
-        self._utc_offset_ns = utc_ns - monotonic_ns
-        self._now_ns = self._origin_ns = monotonic_ns
-        self._began_s = time.monotonic()
-
-    def monotonic_ns(self) -> int:
-        """The simulated instant."""
-        return self._now_ns
-
-    def utc_ns(self) -> int:
-        """The simulated instant as UTC."""
-        return self._now_ns + self._utc_offset_ns
-
-    def wait_until(self, ns: int, descriptors: Sequence[int] = ()) -> None:
-        """Sleep until the host has come as far as ``ns``, or until there is input."""
-        ahead_s = (ns - self._origin_ns) / (_NS * self._speed) - (time.monotonic() - self._began_s)
-        if ahead_s < -_LAG_S:
-            self._began_s -= ahead_s  # what was lost is lost: no rush to make up for it
-        elif ahead_s > 0.0 and select.select(descriptors, (), (), ahead_s)[0]:
-            reached_ns = self._origin_ns + round((time.monotonic() - self._began_s) * self._speed * _NS)
-            ns = min(ns, reached_ns)
-        self._now_ns = max(self._now_ns, ns)
-
-
-def _clock(speed: float, bench: Bench) -> Clock:
+def _clock(speed: float, bench: Bench) -> SimulatedClock:
     """A clock that begins at the scenario's own time."""
     start = bench.scenario.start
     gps_s = start.gps_week * _WEEK_S + start.gps_tow_s
     utc_ns = (_GPS_EPOCH_UNIX_S + gps_s - start.leap_seconds) * _NS
-    return SimulatedClock(utc_ns, _NS) if math.isinf(speed) else PacedClock(utc_ns, speed, _NS)
+    return SimulatedClock(utc_ns, _NS, speed)
 
 
 @contextmanager

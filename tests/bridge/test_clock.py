@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from bridge.clock import HostClock, ScaledClock, SimulatedClock, WallClock
+from bridge.clock import HostClock, SimulatedClock, WallClock
 from tests.bridge.fakes import SteppableClock
 
 MS = 1_000_000
@@ -18,22 +18,6 @@ def test_simulated_time_moves_by_waiting_alone() -> None:
     clock.wait_until(10_000)
     clock.wait_until(4_000)
     assert (clock.monotonic_ns(), clock.utc_ns()) == (10_000, 14_000)
-
-
-def test_scaled_time_runs_faster() -> None:
-    clock = ScaledClock(10.0)
-    real, scaled, utc = time.monotonic_ns(), clock.monotonic_ns(), clock.utc_ns()
-    clock.wait_until(scaled + 200 * MS)
-    elapsed = time.monotonic_ns() - real
-    assert elapsed >= 20 * MS
-    # the readings before and after are not at one instant: allow a slow machine 5 ms, ten-fold
-    assert clock.monotonic_ns() - scaled == pytest.approx(10 * elapsed, abs=50 * MS)
-    assert clock.utc_ns() - utc == pytest.approx(10 * elapsed, abs=50 * MS)
-
-
-def test_a_clock_cannot_stand_still() -> None:
-    with pytest.raises(ValueError, match="above zero"):
-        ScaledClock(0.0)
 
 
 def test_waiting_ends_at_input() -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bridge.cli import main
-from bridge.cli.demo import PacedClock
+from bridge.clock import SimulatedClock
 from bridge.evaluate import TruthTable
 from bridge.recording import Capture
 from tests.clients.conftest import SCENARIO
@@ -74,7 +74,7 @@ def test_an_unknown_scenario_is_one_line_and_status_2(capsys: pytest.CaptureFixt
 
 
 def test_paced_clock_waits_for_the_host_but_not_for_itself() -> None:
-    clock = PacedClock(utc_ns=10**18, speed=10.0, monotonic_ns=5)
+    clock = SimulatedClock(utc_ns=10**18, speed=10.0, monotonic_ns=5)
     start = time.monotonic()
     clock.wait_until(1_000_000_005)  # a second at ten times: a tenth
     assert 0.09 < time.monotonic() - start < 5.0
@@ -90,7 +90,7 @@ def test_paced_clock_wakes_for_input() -> None:
     inlet, outlet = os.pipe()
     try:
         os.write(outlet, b"x")
-        clock = PacedClock(utc_ns=0, speed=1.0)
+        clock = SimulatedClock(utc_ns=0, speed=1.0)
         start = time.monotonic()
         clock.wait_until(3_600_000_000_000, [inlet])
         assert time.monotonic() - start < 60.0
