@@ -203,7 +203,8 @@ class Solution:
         """Heading of the vehicle's forward axis clockwise from true north, rad in [0, 2 pi)."""
         w, x, y, z = self.state[S.Q]
         # second column of C_gv is the forward axis
-        return math.atan2(2.0 * (x * y - w * z), w * w - x * x + y * y - z * z) % (2.0 * math.pi)
+        angle = math.atan2(2.0 * (x * y - w * z), w * w - x * x + y * y - z * z) % (2.0 * math.pi)
+        return 0.0 if angle == 2.0 * math.pi else angle  # the remainder of -1e-20 rounds to the whole turn
 
     @property
     def pitch(self) -> float:
