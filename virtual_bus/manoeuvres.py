@@ -211,8 +211,8 @@ class Profile:
         index, x, _ = self._place(t_ns)
         return np.asarray(self._base[index, 0] + _step(x) * self._delta[index, 0])
 
-    def distance(self, t_ns: NDArray[np.int64]) -> Array:
-        """Distance rolled since the start (n,) m, counted up in reverse too."""
-        index, x, length = self._place(t_ns)
+    def distance(self, t_ns: NDArray[np.int64], since: Array | float = 0.0) -> Array:
+        """Distance rolled since the start (n,) m, counted up in reverse too; times as in `channels`."""
+        index, x, length = self._place(t_ns, since)
         part = self._base[index, 0] * x + _step_area(x) * self._delta[index, 0]
         return np.asarray(self._distance[index] + np.abs(part) * length)

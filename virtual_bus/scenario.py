@@ -21,7 +21,7 @@ from msgspec import Meta
 from virtual_bus.faults import AnyFault
 from virtual_bus.grades import GRADES
 from virtual_bus.manoeuvres import Blend, Manoeuvre, Profile, Static
-from virtual_bus.truth import Trajectory, Vehicle, mounting_matrix, roll_per_accel
+from virtual_bus.truth import Crab, Trajectory, Vehicle, mounting_matrix, roll_per_accel
 
 PACKAGED: Final = Path(__file__).parent / "scenarios"
 
@@ -55,6 +55,8 @@ class Start(Table):
 class VehicleOptions(Table):
     """``[vehicle]``: places in vehicle axes (right, forward, up) from the middle of the rear axle.
 
+    Its heading wanders ``crab_deg`` about its path (camber, side wind, steering).
+
     ``mounting_deg`` is pitch, roll, heading of the IMU in the vehicle as its maker wrote down; pitch and
     heading really differ from it by ``mounting_sigma_deg``. ``output_m`` is the point that the solution is
     for and truth is told at; by default the IMU.
@@ -67,6 +69,7 @@ class VehicleOptions(Table):
     mounting_sigma_deg: NotNegative = 0.0
     roll_deg_per_g: float = 3.0
     pitch_deg_per_g: float = 0.0
+    crab_deg: NotNegative = 0.0
 
 
 class DeviceTable(Table):
@@ -212,6 +215,7 @@ class Scenario(Table):
             C_vb=mounting_matrix(pitch_deg + float(off[0]), roll_deg, heading_deg + float(off[1])),
             roll_per_accel=roll_per_accel(options.roll_deg_per_g),
             pitch_per_accel=roll_per_accel(options.pitch_deg_per_g),
+            crab=Crab(math.radians(options.crab_deg), rng) if options.crab_deg else None,
         )
         return Trajectory(
             self.profile(seconds),

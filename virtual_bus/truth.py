@@ -39,18 +39,46 @@ _AT_NODES = chebyshev.chebvander(_X, NODES) @ _INTEGRAL
 _AT_END = np.ones(NODES + 1) @ _INTEGRAL
 
 
+CRAB_LINES: Final = 24
+CRAB_SHORTEST: Final = 25.0  # m of road: at 20 m/s well within what a piece's polynomial can follow
+
+
+class Crab:
+    """Angle between a vehicle's heading and its path, a smooth random function of the distance rolled.
+
+    Waves of equal strength spread evenly over all wave numbers up to that of `CRAB_SHORTEST`, so it is
+    white noise of ``sigma`` rad to whoever looks over longer distances. ``rng`` draws it.
+    """
+
+    def __init__(self, sigma: float, rng: np.random.Generator) -> None:
+        place = (np.arange(CRAB_LINES) + rng.random(CRAB_LINES)) / CRAB_LINES
+        self._number = 2.0 * math.pi / CRAB_SHORTEST * place  # rad/m
+        self._phase = 2.0 * math.pi * rng.random(CRAB_LINES)
+        self._size = sigma * math.sqrt(2.0 / CRAB_LINES)
+
+    def angle(self, distance: Array, speed: Array, accel: Array) -> tuple[Array, Array, Array]:
+        """Angle (rad, clockwise) and two derivatives in time, (n,) each."""
+        wave = self._number * distance[:, None] + self._phase
+        sine, cosine = self._size * np.sin(wave), self._size * np.cos(wave) * self._number
+        slope = cosine.sum(axis=1)
+        bend = -(sine * self._number**2).sum(axis=1)
+        return sine.sum(axis=1), slope * speed, slope * accel + bend * speed**2
+
+
 @dataclass(frozen=True, slots=True)
 class Vehicle:
     """Where the instruments are, vehicle axes right-forward-up from the rear axle, m.
 
     ``C_vb`` (3, 3) takes IMU axes to vehicle axes. The body leans ``roll_per_accel`` rad per m/s^2
-    outward in a curve and lifts its nose ``pitch_per_accel`` rad per m/s^2 when it accelerates.
+    outward in a curve and lifts its nose ``pitch_per_accel`` rad per m/s^2 when it accelerates. Where a
+    ``crab`` is given its heading is off the path's by that much: side wind, camber, steering.
     """
 
     imu: Array
     C_vb: Array
     roll_per_accel: float = 0.0
     pitch_per_accel: float = 0.0
+    crab: Crab | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +224,8 @@ class Trajectory:
         """Motion of the IMU, or of ``point`` (3,) m in vehicle axes from the rear axle."""
         index, local = self._local(t_ns)
         r_axle = self._r0[index] + local[:, :3]
-        return self._motion(self.profile.channels(t_ns), r_axle, self.vehicle.imu if point is None else point)
+        profile, rolled = self.profile.channels(t_ns), self.profile.distance(t_ns)
+        return self._motion(profile, rolled, r_axle, self.vehicle.imu if point is None else point)
 
     def state(self, t_ns: int, point: Array | None = None) -> TruthState:
         """Truth at one instant; position and velocity are those of ``point`` (vehicle axes) or the IMU."""
@@ -244,7 +273,8 @@ class Trajectory:
         half = self._half[a:b, None, None]
         # nodes lie between nanoseconds, and half of one would already show in the rates
         since = ((_X + 1.0) * self._half[a:b, None]).ravel()
-        profile = self.profile.channels(np.repeat(self._start_ns[a:b], NODES), since)
+        at = np.repeat(self._start_ns[a:b], NODES)
+        profile = self.profile.channels(at, since)
         v_g = self._velocity(profile)[0]
         r = np.broadcast_to(self._r0[a], (b - a, NODES, 3)).copy()
         for _ in range(_PICARD):
@@ -253,7 +283,7 @@ class Trajectory:
             steps = half[:, 0] * np.einsum("k,pkc->pc", _AT_END, v_e)
             self._r0[a + 1 : b + 1] = self._r0[a] + np.cumsum(steps, axis=0)
             r = self._r0[a:b, None, :] + half * np.einsum("ik,pkc->pic", _AT_NODES, v_e)
-        motion = self._motion(profile, r.reshape(-1, 3), self.vehicle.imu)
+        motion = self._motion(profile, self.profile.distance(at, since), r.reshape(-1, 3), self.vehicle.imu)
         rates = np.concatenate((motion.w_iv_v @ self.vehicle.C_vb, motion.f_v @ self.vehicle.C_vb), axis=1)
         values = np.concatenate((v_e, rates.reshape(b - a, NODES, 6)), axis=2)
         self._coef[a:b] = half * np.einsum("ik,pkc->pic", _INTEGRAL, values)
@@ -271,8 +301,8 @@ class Trajectory:
         turn = np.stack((-sg * gam1 * sp + cg * cp * psi1, -sg * gam1 * cp - cg * sp * psi1, cg * gam1), -1)
         return s[:, None] * along, s1[:, None] * along + s[:, None] * turn
 
-    def _motion(self, profile: Channels, r_axle: Array, point: Array) -> Motion:
-        """Kinematics of ``point`` from the axle's Earth-fixed position and the profile."""
+    def _motion(self, profile: Channels, rolled: Array, r_axle: Array, point: Array) -> Motion:
+        """Kinematics of ``point`` from the axle's Earth-fixed position, distance rolled and profile."""
         (s, psi, gam), (s1, psi1, gam1), (s2, psi2, gam2), (s3, psi3, _) = (c.T for c in profile)
         v_g, vdot_g = self._velocity(profile)
         lat, lon, height = ellipsoid.to_geodetic(r_axle)
@@ -294,6 +324,9 @@ class Trajectory:
         pitch, pitch1, pitch2 = gam + kp * s1, gam1 + kp * s2, gam2 + kp * s3
         roll, roll1 = kr * s * psi1, kr * (s1 * psi1 + s * psi2)
         roll2 = kr * (s2 * psi1 + 2.0 * s1 * psi2 + s * psi3)
+        if self.vehicle.crab is not None:
+            crab, crab1, crab2 = self.vehicle.crab.angle(rolled, np.abs(s), np.sign(s) * s1)
+            psi, psi1, psi2 = psi + crab, psi1 + crab1, psi2 + crab2
         C_gv = _attitude(psi, pitch, roll)
         sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
         w_gv = np.stack(
