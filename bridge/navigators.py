@@ -125,6 +125,8 @@ def _imu_errors(options: NavigatorOptions) -> ImuErrors:
         accel_bias_time=table.correlation_s,
         gyro_scale=table.gyro_scale_ppm * 1e-6,
         accel_scale=table.accel_scale_ppm * 1e-6,
+        gyro_axes=table.gyro_axes_ppm * 1e-6,
+        accel_axes=table.accel_axes_ppm * 1e-6,
     )
 
 

@@ -75,7 +75,8 @@ class ImuErrors(Table):
     """``[navigator.NAME.imu_errors]``: how good the IMU is, one sigma, after its calibration.
 
     A bias is what stays for a whole run, an instability what wanders within ``correlation_s``. Scale errors
-    of 0 leave them out of the filter.
+    of 0 leave them out of the filter. The ``axes`` errors (misalignment, and scale where it is left out) are
+    what motion about or along one axis puts into another.
     """
 
     gyro_bias_deg_per_h: Positive = 0.5
@@ -86,6 +87,8 @@ class ImuErrors(Table):
     accel_instability_ug: NotNegative = 20.0
     accel_random_walk_ug_per_sqrt_hz: Positive = 20.0
     accel_scale_ppm: NotNegative = 0.0
+    gyro_axes_ppm: NotNegative = 0.0
+    accel_axes_ppm: NotNegative = 0.0
     correlation_s: Positive = 3600.0
 
 

@@ -33,6 +33,8 @@ class Wiring:
 
 _SCALE_MATTERS_PPM: Final = 300.0
 """A quarter turn with this scale error of a gyro is wrong by as much as heading is known."""
+_WHEEL_M_S: Final = 0.01
+"""Beside the size of its ticks, a simulated wheel has only the error of its time stamps."""
 _ALIGN_MARGIN_S: Final = 4.0
 _COARSE_S: Final = 60.0
 _FINE_S: Final = 240.0
@@ -44,7 +46,8 @@ def imu_errors(grade: Grade) -> dict[str, float]:
     Errors of scale are given where they are large. Small ones, and those of the axes, look like biases of
     the accelerometers at 1 g and are counted as such.
     """
-    tilt_ug = grade.accel_misalignment_arcsec * ARCSEC * 1e6
+    # gyros and accelerometers that disagree about the vertical look like a bias too
+    tilt_ug = math.hypot(grade.accel_misalignment_arcsec, grade.gyro_misalignment_arcsec) * ARCSEC * 1e6
     large = grade.gyro_scale_ppm >= _SCALE_MATTERS_PPM
     return {
         "gyro_bias_deg_per_h": grade.gyro_bias_deg_per_h,
@@ -55,8 +58,16 @@ def imu_errors(grade: Grade) -> dict[str, float]:
         "accel_instability_ug": grade.accel_instability_ug,
         "accel_random_walk_ug_per_sqrt_hz": grade.accel_random_walk_ug_per_sqrt_hz,
         "accel_scale_ppm": grade.accel_scale_ppm if large else 0.0,
+        "gyro_axes_ppm": _axes_ppm(grade.gyro_misalignment_arcsec, 0.0 if large else grade.gyro_scale_ppm),
+        "accel_axes_ppm": _axes_ppm(grade.accel_misalignment_arcsec, 0.0 if large else grade.accel_scale_ppm),
         "correlation_s": grade.correlation_s,
     }
+
+
+def _axes_ppm(misalignment_arcsec: float, scale_ppm: float) -> float:
+    """Rms over the axes of what motion about or along one axis puts into the three."""
+    axes_ppm = misalignment_arcsec * ARCSEC * 1e6
+    return math.sqrt((2.0 * axes_ppm**2 + scale_ppm**2) / 3.0)
 
 
 def alignment_s(rest_s: float) -> tuple[float, float]:
@@ -127,6 +138,7 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
     coarse_s, fine_s = alignment_s(s.rest_s())
     known = []
     if s.odometer is not None:
+        known.append(f"odometer_sigma_m_s = {_WHEEL_M_S!r}")
         known.append(f"odometer_scale_ppm = {max(1.0, s.odometer.scale_error_ppm)!r}")
     if s.baro is not None:
         known.append(f"barometer_bias_m = {max(0.01, math.hypot(s.baro.offset_m, s.baro.drift_m))!r}")

@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 from nav.earth import EARTH_RATE, gravity_north, normal_gravity, radii
 from nav.filter.covariance import predict
 from nav.filter.states import (
+    P_AXES,
     P_GAP_A,
     P_GAP_W,
     P_LO,
     P_LP,
+    P_PUSH,
+    P_TURN,
     X_A,
     X_BA,
     X_BB,
@@ -59,18 +62,16 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Matrix, row: Vector) -> N
     half = 0.5 * dt
     d = work[18]
     mid = work[19]
-    extra_v = 0.0
-    extra_phi = 0.0
     if row[ROW_GAP] != 0.0:
         ex, ey, ez, h = x[X_C + 6], x[X_C + 7], x[X_C + 8], x[X_H]
         north = gravity_north(ez, 1.0, h)
         wx, wy, wz = rotate(x[0], -x[1], -x[2], -x[3], EARTH_RATE * ex, EARTH_RATE * ey, EARTH_RATE * ez)
         ax, ay, az = rotate(x[0], -x[1], -x[2], -x[3], -north * ex, -north * ey, normal_gravity(ez, h))
+        extra_v = par[P_GAP_A] * par[P_GAP_A] * dt
+        extra_phi = par[P_GAP_W] * par[P_GAP_W] * dt
         for i in range(2):
             d[3 * i], d[3 * i + 1], d[3 * i + 2] = wx * half, wy * half, wz * half
             d[6 + 3 * i], d[7 + 3 * i], d[8 + 3 * i] = ax * half, ay * half, az * half
-        extra_v = par[P_GAP_A] * par[P_GAP_A] * dt
-        extra_phi = par[P_GAP_W] * par[P_GAP_W] * dt
     else:
         for i in range(3):
             bg, ba = x[X_BG + i] * half, x[X_BA + i] * half
@@ -79,6 +80,8 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Matrix, row: Vector) -> N
             d[3 + i] = (row[3 + i] - bg) * sg
             d[6 + i] = (row[6 + i] - ba) * sa
             d[9 + i] = (row[9 + i] - ba) * sa
+        extra_v = 0.0
+        extra_phi = 0.0
     vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
     strapdown(x, d, dt, mid)
     for i in range(3):
@@ -103,7 +106,24 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Matrix, row: Vector) -> N
     x[X_PATH + 2] += bz * dt
     x[X_PT] += dt
 
+    # what scale and axes of the sensors do to motion: an error of velocity with a change of speed, an error
+    # of angle about its axis with a turn
+    a2 = x[X_A] * x[X_A] + x[X_A + 1] * x[X_A + 1] + x[X_A + 2] * x[X_A + 2]
+    extra_v += par[P_PUSH] * np.sqrt(a2)
     predict(P, mid, x[X_W : X_W + 3], x[X_F : X_F + 3], dt, par, row[ROW_NOISE], extra_v, extra_phi, work)
+    w = np.sqrt(wx * wx + wy * wy + wz * wz)
+    if w > 0.0:
+        nx = c[0] * wx + c[1] * wy + c[2] * wz
+        ny = c[3] * wx + c[4] * wy + c[5] * wz
+        nz = c[6] * wx + c[7] * wy + c[8] * wz
+        s = par[P_TURN] * dt / w
+        P[6, 6] += s * nx * nx
+        P[7, 7] += s * ny * ny
+        P[8, 8] += s * nz * nz
+        P[6, 7] += s * nx * ny
+        P[6, 8] += s * nx * nz
+        P[7, 8] += s * ny * nz
+        P[7, 6], P[8, 6], P[8, 7] = P[6, 7], P[6, 8], P[7, 8]
 
 
 @kernel
@@ -207,7 +227,7 @@ def solution_row(x: Vector, P: Matrix, par: Vector, h: Vector, out: Vector) -> b
                 for j in range(3):
                     s += 2.0 * e * h[j] * P[o + i, 6 + j] + h[i] * h[j] * P[6 + i, 6 + j]
             out[16 + o + axis] = np.sqrt(max(s, 0.0))
-        s = _sigma(P, 6, ex, ey, ez) ** 2
+        s = _sigma(P, 6, ex, ey, ez) ** 2 + par[P_AXES]
         a, b = ex * m0x + ey * m0y + ez * m0z, ex * m1x + ey * m1y + ez * m1z
         s += a * a * P[16, 16] + 2.0 * a * b * P[16, 17] + b * b * P[17, 17]
         for i in range(3):

@@ -41,7 +41,9 @@ def solution_covariance(x: Vector, P: Vector, par: Vector) -> Vector:
     T[3:6, st.PHI] = C_gn @ _skew(C_nb @ np.cross(w_eb_b, lever))
     T[6:9, st.PHI] = -C_gn
     T[6:9, st.MOUNTING] = (C_gn @ C_nv)[:, [0, 2]]
-    return np.asarray(T @ P @ T.T)
+    covariance = T @ P @ T.T
+    covariance[6:9, 6:9] += np.eye(3) * par[st.P_AXES]
+    return np.asarray(covariance)
 
 
 def _skew(v: Vector) -> Vector:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
 from nav.align.types import AlignConfig
 from nav.filter import states as st
 from nav.types import Vector
+
+_TURN: Final = 1.0  # rad
+_PUSH: Final = 10.0  # m/s
 
 
 def _zero() -> Vector:
@@ -24,7 +28,8 @@ class ImuErrors:
     ``accel_bias`` m/s^2: constant part where an alignment does not say better. ``gyro_instability``
     and ``accel_instability``: steady sigma of the part that wanders with the correlation times
     ``gyro_bias_time`` and ``accel_bias_time``, s. ``gyro_scale``, ``accel_scale`` (1): scale-factor
-    errors; zero for both leaves them out of the filter.
+    errors; zero for both leaves them out of the filter. ``gyro_axes`` rad, ``accel_axes`` (1): what motion
+    about or along one axis puts into another: misalignment, and errors of scale that are no states.
     """
 
     angle_random_walk: float
@@ -37,6 +42,8 @@ class ImuErrors:
     accel_bias_time: float = 600.0
     gyro_scale: float = 0.0
     accel_scale: float = 0.0
+    gyro_axes: float = 0.0
+    accel_axes: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,6 +149,13 @@ def parameters(config: NavigatorConfig) -> Vector:
     p[st.P_GAP_A] = config.gap_accel
     imu = config.imu
     p[st.P_ARW] = imu.angle_random_walk
+    # gyros that are all turned by the same angle navigate as well as before, and only what is shown is
+    # off by it; accelerometers that disagree with them look biased, which they may be anyway
+    p[st.P_AXES] = imu.gyro_axes**2
+    # other errors come back with the motion that made them: walks over turns and changes of speed no
+    # longer than these
+    p[st.P_TURN] = imu.gyro_axes**2 * _TURN
+    p[st.P_PUSH] = imu.accel_axes**2 * _PUSH
     q = p[st.P_Q : st.P_Q + st.FULL]
     q[st.VELOCITY] = imu.velocity_random_walk**2
     q[st.PHI] = imu.angle_random_walk**2
