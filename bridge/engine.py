@@ -133,6 +133,11 @@ class Engine:
             if kind in kinds
         }
 
+    @property
+    def navigators(self) -> dict[str, Navigator]:
+        """The navigators by name, for who studies them; what they say comes out of `feed`."""
+        return {line.name: line.navigator for line in self._lines}
+
     def digests(self) -> dict[str, str]:
         """Digest of each navigator's solutions up to now."""
         return {line.name: line.chain.final() for line in self._lines}

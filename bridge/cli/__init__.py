@@ -36,6 +36,7 @@ COMMANDS: Final[dict[str, Command]] = {
     "check": Command("bridge.cli.check", "check a configuration without opening a bus"),
     "inspect": Command("bridge.cli.inspect", "say what is in a capture and what looks wrong"),
     "decode": Command("bridge.cli.decode", "add decoded channels to a capture"),
+    "campaign": Command("bridge.cli.campaign", "simulate many runs and compare errors with sigmas"),
     "busload": Command("bridge.cli.busload", "compute the load of the default messages on a bus"),
 }
 

@@ -1,0 +1,123 @@
+"""``navbridge campaign``: many simulated runs, and whether errors are as large as they are said to be."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+_RUNS: Final = 100
+
+
+def add_parser(subparsers: Any) -> argparse.ArgumentParser:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "campaign",
+        help="simulate many runs and compare errors with sigmas",
+        description="Simulate a scenario with many seeds and compare the errors with what the navigator "
+        "claims. The seeds are N, N+1, ... from --seed-base, and every one counts. Exit status 1 when "
+        "they do not agree.",
+    )
+    kinds = parser.add_subparsers(dest="campaign", metavar="CAMPAIGN", required=True)
+    moving = kinds.add_parser(
+        "consistency",
+        help="position, velocity and attitude at fixed epochs against their covariances",
+        description="Mean normalised error squared (NEES) of position, velocity and attitude over all runs "
+        "at twelve epochs, against the two-sided 95 %% band of so many runs, and mean error against zero. At "
+        "least 90 %% must lie inside.",
+    )
+    _common(moving)
+    moving.add_argument(
+        "--scenario", default="drive", help="a packaged scenario or a TOML file (default: drive)"
+    )
+    moving.add_argument(
+        "--seconds", metavar="N", type=_positive, help="cut or extend the scenario to N seconds"
+    )
+    moving.add_argument("--out", metavar="FILE.png", help="draw errors, sigmas and NEES over time")
+    still = kinds.add_parser(
+        "static",
+        help="attitude after an alignment at rest against its theoretical limit",
+        description="Spread of the attitude when a static alignment hands over, against the theoretical "
+        "limit of its sensors in that time, and against what the alignment claims.",
+    )
+    _common(still)
+    still.add_argument(
+        "--scenario", default="static_rlg", help="a packaged scenario or a TOML file (default: static_rlg)"
+    )
+    return parser
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--runs", metavar="N", type=_count, default=_RUNS, help="default: 100")
+    parser.add_argument("--seed-base", metavar="N", type=_seed, default=0, help="first seed (default: 0)")
+    parser.add_argument(
+        "--jobs", metavar="N", type=_count, default=os.cpu_count() or 1, help="processes (default: all CPUs)"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fly all runs and print the table; exit status 1 when it does not agree."""
+    from bridge.studies import consistency as of
+    from bridge.studies.campaign import run_consistency, run_static
+
+    progress = _progress if sys.stderr.isatty() else None
+    if args.campaign == "static":
+        still = run_static(
+            args.scenario, args.runs, seed_base=args.seed_base, jobs=args.jobs, progress=progress
+        )
+        _print(args, of.alignment_lines(still), of.alignment_document(still))
+        return 0 if still.passed else 1
+    found = run_consistency(
+        args.scenario,
+        args.runs,
+        seconds=args.seconds,
+        seed_base=args.seed_base,
+        jobs=args.jobs,
+        progress=progress,
+    )
+    _print(args, of.consistency_lines(found), of.consistency_document(found))
+    if args.out is not None:
+        from bridge.studies.consistency_picture import draw
+
+        draw(found, Path(args.out), f"{args.scenario}, seeds {args.seed_base} and on")
+    return 0 if found.passed else 1
+
+
+def _print(args: argparse.Namespace, lines: list[str], document: dict[str, Any]) -> None:
+    print(json.dumps(document, indent=2) if args.json else "\n".join(lines), flush=True)
+
+
+def _progress(done: int, runs: int) -> None:
+    print(f"\r{done} of {runs} runs", end="\n" if done == runs else "", file=sys.stderr, flush=True)
+
+
+def _count(text: str) -> int:
+    return _whole(text, 1)
+
+
+def _seed(text: str) -> int:
+    return _whole(text, 0)
+
+
+def _whole(text: str, least: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = least - 1
+    if value < least:
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected a whole number, {least} or more")
+    return value
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected a number above zero")
+    return value

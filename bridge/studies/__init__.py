@@ -1,0 +1,1 @@
+"""What needs navigator, engine and bench together: campaigns over many simulated runs."""
