@@ -13,8 +13,8 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "import",
         help="make a capture of somebody else's recording",
-        description="Make a capture of somebody else's recording, with the raw frames that a bus would have carried. "
-        "It holds its configuration and replays with: navbridge replay FILE.mcap",
+        description="Make a capture of somebody else's recording, with the raw frames that a bus would have "
+        "carried. It holds its configuration and replays with: navbridge replay FILE.mcap",
     )
     kinds = parser.add_subparsers(dest="importer", metavar="KIND", required=True)
     for name, importer in IMPORTERS.items():

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -50,9 +52,27 @@ def wait_for_bridge(bridge: subprocess.Popen[bytes]) -> None:
 
 
 def main(where: str, scenario: str, seconds: str) -> int:
-    """Bridge first, then the bench for ``seconds``; both end in order."""
+    """Bridge first, then the bench for ``seconds``; both end in order.
+
+    All files are written to memory first: in user-mode Linux a slow disk stops the whole guest.
+    """
     folder = Path(where)
+    memory = Path("/dev/shm")
     os.environ["PYTHONUNBUFFERED"] = "1"
+    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as fast:
+        for path in folder.glob("*.toml"):
+            shutil.copy(path, fast)
+        try:
+            report = session(Path(fast), scenario, seconds)
+        finally:
+            for path in Path(fast).iterdir():
+                shutil.copy(path, folder)
+    print(json.dumps(report))
+    return 0
+
+
+def session(folder: Path, scenario: str, seconds: str) -> dict[str, object]:
+    """The session itself; how the two ended, and when what happened."""
     times = {"start": time.monotonic()}
     with Candump(CHANNEL, folder / "bus.log"):
         bridge = navbridge(folder, "run", "run", "config.toml", "--out", "run.mcap")
@@ -69,16 +89,11 @@ def main(where: str, scenario: str, seconds: str) -> int:
             bridge.send_signal(signal.SIGINT)
             bridge.wait(timeout=END_S)
         times["end"] = time.monotonic()
-    print(
-        json.dumps(
-            {
-                "sim_status": bench.returncode,
-                "run_status": bridge.returncode,
-                "seconds": {name: value - times["start"] for name, value in times.items()},
-            }
-        )
-    )
-    return 0
+    return {
+        "sim_status": bench.returncode,
+        "run_status": bridge.returncode,
+        "seconds": {name: value - times["start"] for name, value in times.items()},
+    }
 
 
 if __name__ == "__main__":
