@@ -118,13 +118,13 @@ class CsvImport:
     def _imu(self, key: str, name: str, spec: Imu) -> Iterator[wire.Sent]:
         options = self._options(key, name, ImuCanOptions)
         table = self._table(key, spec)
-        times = table.times_ns("time", spec.time)
+        times = self._times(table, spec)
         if len(times) < 2:
             raise ConfigError(
                 f"{self._file}: {key}.file: found one row, expected two or more: rates need an interval"
             )
         # the first row only begins the first interval
-        steps: Vector = np.diff(np.array(times, dtype=np.float64) - times[0]) / 1e9
+        steps: Vector = np.diff(np.array(times, dtype=np.int64)).astype(np.float64) / 1e9
         count = np.where(steps * options.rate_hz < _GAP, 1, np.rint(steps * options.rate_hz)).astype(np.int64)
         dt = steps / count
         file = options.calibration
@@ -157,7 +157,7 @@ class CsvImport:
     def _gnss(self, key: str, name: str, spec: Gnss) -> Iterator[wire.Sent]:
         options = self._options(key, name, GnssCanOptions)
         table = self._table(key, spec)
-        times = table.times_ns("time", spec.time)
+        times = self._times(table, spec)
         if (spec.sigma_velocity is None) == (spec.sigma_velocity_m_s is None) and spec.velocity is not None:
             raise ConfigError(
                 f"{self._file}: {key}: expected exactly one of sigma_velocity and sigma_velocity_m_s"
@@ -174,11 +174,10 @@ class CsvImport:
             }
             fixes = [kinds[word] for word in table.codes("fix_type", spec.fix_type)]
         if self._utc_ns is None:
-            self._utc_ns = (_GPS_EPOCH_S + spec.week * _WEEK_S - spec.leap_seconds) * 1_000_000_000
+            self._utc_ns = (_GPS_EPOCH_S - spec.leap_seconds) * 1_000_000_000
         return wire.gnss_frames(
             wire.Fixes(
                 times,
-                spec.week,
                 spec.leap_seconds,
                 np.degrees(table.numbers("lat", spec.lat, "angle")),
                 np.degrees(table.numbers("lon", spec.lon, "angle")),
@@ -198,7 +197,7 @@ class CsvImport:
         options = self._options(key, name, OdometerCanOptions)
         table = self._table(key, spec)
         return wire.odometer_frames(
-            table.times_ns("time", spec.time),
+            self._times(table, spec),
             table.numbers("speed", spec.speed, "speed"),
             options.m_per_tick,
             delay_ns=round(spec.delay_ms * 1e6),
@@ -209,7 +208,7 @@ class CsvImport:
         options = self._options(key, name, BaroCanOptions)
         table = self._table(key, spec)
         return wire.baro_frames(
-            table.times_ns("time", spec.time),
+            self._times(table, spec),
             table.numbers("pressure", spec.pressure, "pressure"),
             spec.temperature_deg_c,
             delay_ns=round(spec.delay_ms * 1e6),
@@ -218,6 +217,11 @@ class CsvImport:
 
     def _table(self, key: str, spec: Table) -> CsvTable:
         return CsvTable(self._data / spec.file, self._file, key)
+
+    def _times(self, table: CsvTable, spec: Table) -> list[int]:
+        """Times of the rows, ns since the beginning of GPS time where the mapping knows the week."""
+        begin_ns = self._mapping.gps_week * _WEEK_S * 1_000_000_000
+        return [begin_ns + t_ns for t_ns in table.times_ns("time", spec.time)]
 
     def _source(self, key: str, name: str) -> int:
         if name not in self.config.devices:

@@ -77,7 +77,10 @@ def imu_frames(
     id_offset: int,
     temperature_deg_c: float,
 ) -> Iterator[Sent]:
-    """IMU_GYRO, IMU_ACCEL and IMU_TIME of each sample; ``samples`` are its running numbers."""
+    """IMU_GYRO, IMU_ACCEL and IMU_TIME of each sample; ``samples`` are its running numbers.
+
+    The counter of device time has the zero of ``times_ns``: units that are synchronised to GNSS count so.
+    """
     gyro = _Message("IMU_GYRO", id_offset)
     accel = _Message("IMU_ACCEL", id_offset)
     time = _Message("IMU_TIME", id_offset)
@@ -100,10 +103,12 @@ def imu_frames(
 
 
 class Fixes(NamedTuple):
-    """GNSS columns: degrees, metres, metres a second; triples are east, north, up."""
+    """GNSS columns: degrees, metres, metres a second; triples are east, north, up.
+
+    ``times_ns`` count from the beginning of GPS time.
+    """
 
     times_ns: list[int]
-    week: int
     leap_seconds: int
     lat_deg: Vector
     lon_deg: Vector
@@ -129,7 +134,7 @@ def gnss_frames(fixes: Fixes, keep: list[bool], *, delay_ns: int, id_offset: int
         rx_ns = t_ns + delay_ns
         weeks, tow_us = divmod(round(t_ns / 1000), _WEEK_US)
         sigma = _within(fixes.sigma[row], 16.382)
-        yield time.frame(rx_ns, epoch, {"TOW": tow_us, "WEEK": fixes.week + weeks})
+        yield time.frame(rx_ns, epoch, {"TOW": tow_us, "WEEK": weeks % 4096})
         yield lat.frame(rx_ns, epoch, {"LAT": float(fixes.lat_deg[row]), "SIGMA_N": sigma[1]})
         yield lon.frame(rx_ns, epoch, {"LON": float(fixes.lon_deg[row]), "SIGMA_E": sigma[0]})
         yield height.frame(

@@ -2,7 +2,8 @@
 
 A mapping is TOML. ``config`` names the bridge configuration that the capture is replayed with (a
 path relative to the mapping, or a packaged name). Each table ``[imu.NAME]``, ``[gnss.NAME]``,
-``[odometer.NAME]`` or ``[baro.NAME]`` stands for the device NAME of that configuration::
+``[odometer.NAME]`` or ``[baro.NAME]`` stands for the device NAME of that configuration. Times are those of
+one clock, GPS time where there are fixes, in the week ``gps_week``::
 
     config = "bench.toml"
 
@@ -66,9 +67,8 @@ class Imu(Source, kw_only=True):
 
 
 class Gnss(Source, kw_only=True):
-    """Fixes. ``time`` is GPS seconds of the week ``week``."""
+    """Fixes; ``time`` is GPS time."""
 
-    week: Annotated[int, Meta(ge=0, le=4095)]
     lat: Column
     lon: Column
     height: Column
@@ -95,9 +95,10 @@ class Baro(Source, kw_only=True):
 
 
 class Mapping(Table):
-    """A mapping file."""
+    """A mapping file. All times count from the beginning of the GPS week ``gps_week``."""
 
     config: str
+    gps_week: Annotated[int, Meta(ge=0)] = 0
     imu: dict[str, Imu] = field(default_factory=dict)
     gnss: dict[str, Gnss] = field(default_factory=dict)
     odometer: dict[str, Odometer] = field(default_factory=dict)

@@ -62,6 +62,7 @@ scale_m_s_per_pulse = [1e-5, 1e-5, 1e-5]
 """
 MAPPING = """
 config = "bench.toml"
+gps_week = 2374
 [imu.imu]
 file = "imu.csv"
 time = { column = "t", unit = "s" }
@@ -70,7 +71,6 @@ accel = { columns = ["ax", "-ay", "az"], unit = "g" }
 [gnss.gnss]
 file = "gnss.csv"
 time = { column = "t", unit = "ms" }
-week = 2374
 lat = { column = "lat", unit = "deg" }
 lon = { column = "lon", unit = "deg" }
 height = { column = "h", unit = "m" }
@@ -129,13 +129,18 @@ def folder(tmp_path: Path) -> Folder:
 def drive(config: Config, frames: list[RawFrame]) -> dict[str, list[Sample]]:
     """What each device's driver makes of the frames."""
     clocks: dict[str, DeviceClock] = {}
-    samples: dict[str, list[Sample]] = {}
+    samples: dict[str, list[Sample]] = {name: [] for name in config.devices}
+    drivers = {}
     for name, options in config.devices.items():
         clock = clocks.setdefault(options.clock or name, DeviceClock())
         context = Context(name, config.source_number(options.source), config.file, config.files, clock)
-        driver = DRIVERS[options.driver].factory(options, context)
-        keys = set(driver.keys)
-        samples[name] = [s for frame in frames if frame[2:4] in keys for s in driver.feed(frame)]
+        drivers[name] = DRIVERS[options.driver].factory(options, context)
+    # in the order of arrival, as on the bus: devices on one clock depend on each other
+    for frame in frames:
+        for name, driver in drivers.items():
+            if frame[2:4] in driver.keys:
+                samples[name].extend(driver.feed(frame))
+    for driver in drivers.values():
         assert not any(driver.counters.rejects)
     return samples
 
@@ -241,7 +246,7 @@ def test_the_capture_holds_all_it_needs(folder: Folder, tmp_path: Path) -> None:
         (("map.toml", "[imu.imu]", "[imu.other]"), 'map.toml: imu.other: found "other", expected'),
         (("map.toml", "[odometer.odometer]", "[odometer.baro]"), 'map.toml: odometer.baro: found "baro_can"'),
         (("map.toml", 'file = "imu.csv"', 'file = "none.csv"'), "map.toml: imu.imu.file: cannot read"),
-        (("map.toml", "week =", "weeks ="), "map.toml: gnss.gnss.weeks: found an unknown key"),
+        (("map.toml", "gps_week =", "week ="), "map.toml: week: found an unknown key"),
         (("map.toml", '"RTK_FLOAT"', '"FLOAT"'), 'gnss.gnss.fix_type.values: found "FLOAT"'),
         (("map.toml", "2 = ", "3 = "), 'gnss.csv: line 3: q: found "2"'),
         (("map.toml", "sigma_velocity_m_s = [0.05, 0.05, 0.08]", ""), "exactly one of sigma_velocity"),
@@ -282,3 +287,9 @@ def test_the_packaged_drive_keeps_every_row() -> None:
     # the first interval is taken as nominal by the driver, which does not change its increment
     assert np.sum([s.dtheta for s in imu], axis=0) == pytest.approx(turned, abs=math.radians(0.2 / 3600))
     assert not any(s.flags for s in imu)
+    # one clock: every sample and fix stands where the tables have it, from the first second on
+    fixes = [s for s in samples["gnss"] if isinstance(s, GnssFix)]
+    gnss = np.loadtxt(DATA / "gnss.csv", delimiter=",", skiprows=1)
+    begin = fixes[0].t_ns
+    assert np.array([s.t_ns - begin for s in imu]) / 1e9 == pytest.approx(table[1:, 0] - gnss[0, 0], abs=1e-5)
+    assert np.array([s.t_ns - begin for s in fixes]) / 1e9 == pytest.approx(gnss[:, 0] - gnss[0, 0], abs=1e-5)

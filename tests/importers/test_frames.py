@@ -17,6 +17,7 @@ from nav.types import FixType
 
 DATABASE = cantools.database.load_string((files("dbc") / "navbridge.dbc").read_text("cp1252"))
 assert isinstance(DATABASE, Database)
+WEEK_NS = 604_800 * 10**9
 ARCSEC = np.pi / 180 / 3600
 
 
@@ -78,8 +79,7 @@ def test_imu_frames_decode_to_counts_sample_and_time() -> None:
 def fixes(count: int, t0_s: float = 243_258.499, **changes: object) -> Fixes:
     steps = np.arange(count)
     base = Fixes(
-        times_ns=[round((t0_s + 0.25 * k) * 1e9) for k in range(count)],
-        week=2374,
+        times_ns=[WEEK_NS * 2374 + round((t0_s + 0.25 * k) * 1e9) for k in range(count)],
         leap_seconds=18,
         lat_deg=40.0966268 + 1e-6 * steps,
         lon_deg=-105.1474483 - 1e-6 * steps,
@@ -107,7 +107,7 @@ def test_gnss_epochs_decode_to_what_was_put_in() -> None:
             signals = decoded(item)
             assert signals["ALIVE"] == epoch % 15
             value |= signals
-        assert value["TOW"] == table.times_ns[row] // 1000
+        assert value["TOW"] == table.times_ns[row] % WEEK_NS // 1000
         assert value["WEEK"] == 2374
         # half a bit of each signal
         assert value["LAT"] == pytest.approx(table.lat_deg[row], abs=0.51e-9)

@@ -90,7 +90,6 @@ def make(tmp_path: Path) -> Make:
         count = round(SECONDS * 5)
         fixes = wire.Fixes(
             [1_000_000_000 + k * 200_000_000 for k in range(count)],
-            2374,
             18,
             np.full(count, 48.0),
             np.full(count, 11.0),
