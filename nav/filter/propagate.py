@@ -17,6 +17,8 @@ from nav.filter.states import (
     P_LP,
     P_PUSH,
     P_TURN,
+    P_VIB_A,
+    P_VIB_G,
     X_A,
     X_BA,
     X_BB,
@@ -48,6 +50,25 @@ REST_SIZE: Final = 10
 
 WORK_ROWS: Final = 20
 """Rows of the scratch matrix (WORK_ROWS, FULL) that the kernels share."""
+
+
+@kernel
+def _add_vibration(P: Matrix, mid: Vector, gyro: float, accel: float, row: Vector) -> None:
+    """Add to ``P`` what aliased vibration does to attitude and velocity over one row, axis by axis of b.
+
+    Increments made from samples of a rate that shakes faster than half the sampling rate are noise whose
+    variance the shaking itself shows: two neighbours with independent errors of variance s^2 differ by
+    2 s^2 in the mean square, and their sum has that variance too.
+    """
+    for k in range(3):
+        a, v = row[3 + k] - row[k], row[9 + k] - row[6 + k]
+        a, v = gyro * a * a, accel * v * v
+        for i in range(3):
+            ci = mid[M_C + 3 * i + k]
+            for j in range(3):
+                c = ci * mid[M_C + 3 * j + k]
+                P[6 + i, 6 + j] += c * a
+                P[3 + i, 3 + j] += c * v
 
 
 @kernel
@@ -111,6 +132,8 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Matrix, row: Vector) -> N
     a2 = x[X_A] * x[X_A] + x[X_A + 1] * x[X_A + 1] + x[X_A + 2] * x[X_A + 2]
     extra_v += par[P_PUSH] * np.sqrt(a2)
     predict(P, mid, x[X_W : X_W + 3], x[X_F : X_F + 3], dt, par, row[ROW_NOISE], extra_v, extra_phi, work)
+    if row[ROW_GAP] == 0.0 and (par[P_VIB_G] > 0.0 or par[P_VIB_A] > 0.0):
+        _add_vibration(P, mid, par[P_VIB_G], par[P_VIB_A], row)
     w = np.sqrt(wx * wx + wy * wy + wz * wz)
     if w > 0.0:
         nx = c[0] * wx + c[1] * wy + c[2] * wz

@@ -28,7 +28,10 @@ class ImuErrors:
     ``accel_bias`` m/s^2: constant part where an alignment does not say better. ``gyro_instability``
     and ``accel_instability``: steady sigma of the part that wanders with the correlation times
     ``gyro_bias_time`` and ``accel_bias_time``, s. ``gyro_scale``, ``accel_scale`` (1): scale-factor
-    errors; zero for both leaves them out of the filter. ``gyro_axes`` rad, ``accel_axes`` (1): what motion
+    errors; zero for both leaves them out of the filter. ``gyro_vibration``, ``accel_vibration`` (1): part
+    of the squared difference of the two increments of an update that is taken for noise, axis by axis. 1
+    for sensors that are sampled, so that vibration faster than half the rate comes back at any frequency;
+    0 for those that integrate. ``gyro_axes`` rad, ``accel_axes`` (1): what motion
     about or along one axis puts into another: misalignment, and errors of scale that are no states.
     """
 
@@ -42,6 +45,8 @@ class ImuErrors:
     accel_bias_time: float = 600.0
     gyro_scale: float = 0.0
     accel_scale: float = 0.0
+    gyro_vibration: float = 0.0
+    accel_vibration: float = 0.0
     gyro_axes: float = 0.0
     accel_axes: float = 0.0
 
@@ -149,6 +154,8 @@ def parameters(config: NavigatorConfig) -> Vector:
     p[st.P_GAP_A] = config.gap_accel
     imu = config.imu
     p[st.P_ARW] = imu.angle_random_walk
+    p[st.P_VIB_G] = imu.gyro_vibration
+    p[st.P_VIB_A] = imu.accel_vibration
     # gyros that are all turned by the same angle navigate as well as before, and only what is shown is
     # off by it; accelerometers that disagree with them look biased, which they may be anyway
     p[st.P_AXES] = imu.gyro_axes**2
