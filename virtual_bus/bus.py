@@ -170,7 +170,8 @@ class Bench:
         streams["imu"] = devices.imu_frames(device, s.imu, imu, self.imu_errors.serial)
         if s.odometer is not None:
             scale = s.odometer.scale_error_ppm * PPM * float(noise["odometer"].standard_normal())
-            odometer = Odometer(trajectory, s.odometer.m_per_tick, scale, active)
+            walk = s.odometer.walk_m_per_sqrt_m
+            odometer = Odometer(trajectory, s.odometer.m_per_tick, scale, active, walk, noise["odometer"])
             device = self._device("odometer", s.odometer, s.odometer.rate_hz)
             streams["odometer"] = devices.odometer_frames(device, s.odometer, odometer)
         if s.speed is not None:

@@ -33,8 +33,10 @@ class Wiring:
 
 _SCALE_MATTERS_PPM: Final = 300.0
 """A quarter turn with this scale error of a gyro is wrong by as much as heading is known."""
-_WHEEL_M_S: Final = 0.01
-"""Beside the size of its ticks, a simulated wheel has only the error of its time stamps."""
+_SPEED_M_S: Final = 15.0  # usual in the scenarios
+_GATHER_S: Final = 0.2  # over which the bridge gathers ticks
+_STANDING_M_S: Final = 0.03
+"""How still a standing vehicle is: its errors last for seconds, and it is asked twice in each."""
 _ALIGN_MARGIN_S: Final = 4.0
 _COARSE_S: Final = 60.0
 _FINE_S: Final = 240.0
@@ -136,9 +138,13 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         "output_point_m": imu_at if v.output_m is None else np.array(v.output_m),
     }
     coarse_s, fine_s = alignment_s(s.rest_s())
-    known = []
+    known = [f"zero_velocity_sigma_m_s = {_STANDING_M_S!r}"]
+    if s.gnss is not None and max(s.gnss.correlated_m) > 0.0:
+        known.append(f"gnss_correlated_m = {list(s.gnss.correlated_m)!r}")
+        known.append(f"gnss_correlation_s = {s.gnss.correlation_s!r}")
     if s.odometer is not None:
-        known.append(f"odometer_sigma_m_s = {_WHEEL_M_S!r}")
+        walk = s.odometer.walk_m_per_sqrt_m
+        known.append(f"odometer_sigma_m_s = {max(0.005, walk * math.sqrt(_SPEED_M_S / _GATHER_S))!r}")
         known.append(f"odometer_scale_ppm = {max(1.0, s.odometer.scale_error_ppm)!r}")
     if s.baro is not None:
         known.append(f"barometer_bias_m = {max(0.01, math.hypot(s.baro.offset_m, s.baro.drift_m))!r}")

@@ -96,11 +96,15 @@ class ImuTable(DeviceTable):
 
 
 class OdometerTable(DeviceTable):
-    """``[odometer]``. ``ticks`` is what its counter shows at the start: shortly before it wraps."""
+    """``[odometer]``. Tyre and road make the distance walk off by ``walk_m_per_sqrt_m``.
+
+    ``ticks`` is what its counter shows at the start: shortly before it wraps.
+    """
 
     rate_hz: Rate = 50.0
     m_per_tick: Positive = 0.02
     scale_error_ppm: NotNegative = 2000.0
+    walk_m_per_sqrt_m: NotNegative = 0.0035
     ticks: Annotated[int, Meta(ge=0, lt=1 << 32)] = (1 << 32) - 20_000
 
 

@@ -135,17 +135,33 @@ class Imu:
 
 
 class Odometer:
-    """A wheel encoder on the rear axle: ticks counted up in either direction, direction, standstill."""
+    """A wheel encoder on the rear axle: ticks counted up in either direction, direction, standstill.
 
-    def __init__(self, trajectory: Trajectory, m_per_tick: float, scale_error: float, faults: Faults) -> None:
+    Where there is an ``rng`` the distance it rolls walks off by ``walk`` m per root of a metre.
+    """
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        m_per_tick: float,
+        scale_error: float,
+        faults: Faults,
+        walk: float = 0.0,
+        rng: np.random.Generator | None = None,
+    ) -> None:
         self._profile = trajectory.profile
         self._ticks_per_m = (1.0 + scale_error) / m_per_tick
         self._faults = faults
         self._turned = 0.0
+        self._walk = walk
+        self._rng = rng
 
     def block(self, t_ns: Times) -> tuple[Counts, Counts, NDArray[np.bool_]]:
         """Ticks since power-on, direction (0 none, 1 forward, 2 reverse), standstill at ``t_ns[1:]``."""
         rolled = np.diff(self._profile.distance(t_ns))
+        if self._rng is not None:
+            error = self._walk * np.sqrt(rolled) * self._rng.standard_normal(len(rolled))
+            rolled = np.maximum(0.0, rolled + error)
         for slip in self._faults.of(WheelSlip):
             rolled[slip.during(t_ns[1:])] *= slip.factor
         turned = self._turned + np.cumsum(rolled)
