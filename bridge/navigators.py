@@ -81,6 +81,8 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         gnss_lever_arm=gnss_lever_arm,
         odometer_lever_arm=np.array(options.odometer_lever_arm_m),
         output_point=np.array(options.output_point_m),
+        gnss_correlated=options.gnss_correlated_m,
+        gnss_correlation=options.gnss_correlation_s,
         odometer=rolls,
         gnss_timeout=_patience(options.gnss_timeout_s, "gnss" in kinds),
         odometer_timeout=_patience(options.odometer_timeout_s, moves),

@@ -118,6 +118,9 @@ class NavigatorOptions(Table):
     vehicle, or "find"; ``mounting_sigma_deg`` says how far given angles are to be trusted. Lever arms go
     from the IMU to the point, in IMU axes (right, forward, up); ``output_point_m`` likewise.
 
+    ``gnss_correlated_m`` (horizontal per axis, vertical) is how much of a fix's error stays the same over
+    ``gnss_correlation_s``; with 0 every fix is taken to be wrong in its own way.
+
     A ``zero_velocity_sigma_m_s`` of 0 switches zero-velocity updates off. A navigator is DEGRADED when
     an aid is missing for longer than its ``timeout_s``: 0 means that it is not counted on; by default an
     aid that a device of the navigator provides is.
@@ -131,6 +134,8 @@ class NavigatorOptions(Table):
     gnss_lever_arm_m: Three = (0.0, 0.0, 0.0)
     odometer_lever_arm_m: Three = (0.0, 0.0, 0.0)
     output_point_m: Three = (0.0, 0.0, 0.0)
+    gnss_correlated_m: tuple[NotNegative, NotNegative] = (0.0, 0.0)
+    gnss_correlation_s: Positive = 120.0
     gnss_timeout_s: NotNegative = 5.0
     odometer_timeout_s: NotNegative = 5.0
     barometer_timeout_s: NotNegative = 10.0

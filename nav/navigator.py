@@ -292,7 +292,10 @@ class Navigator:
         config = self.config
         z = np.zeros(7)
         z[1:4] = geodetic_to_xyz(s.lat, s.lon, s.height)
-        z[4:7] = np.maximum(s.sigma_position, config.gnss_position_floor)
+        horizontal, vertical = config.gnss_correlated
+        slow = np.array([horizontal, horizontal, vertical])
+        white = np.sqrt(np.maximum(np.square(s.sigma_position) - slow**2, 0.0))
+        z[4:7] = np.maximum(white, config.gnss_position_floor)
         used = self._timeline.measure("gnss_position", s.t_ns, z)
         if used and s.v_g is not None and s.sigma_velocity is not None:
             z = np.zeros(7)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nav.filter.states import P_Q
+from nav.filter.states import P_GNSS, P_Q
 from nav.jit import kernel
 from nav.strapdown.kernels import M_C, M_EN, M_F, M_G, M_IE, M_K, M_V
 
@@ -97,7 +97,7 @@ def predict(
     ``mid`` is the strapdown kernel's record of the interval, ``w_b`` and ``f_b`` (3,) the corrected rate
     and specific force, ``par`` holds noise densities (from place P_Q). ``factor``
     multiplies the noise of velocity and phi, ``extra_v`` and ``extra_phi`` are added to it ((m/s)^2/s and
-    rad^2/s). ``work`` (18, FULL) is scratch. Twin of `predict_readable`.
+    rad^2/s). ``work`` (18, ALL) is scratch. Twin of `predict_readable`.
     """
     n = P.shape[0]
     # the transpose is what both products below walk along
@@ -148,6 +148,14 @@ def predict(
             P[i, c] = work[i, c]
             P[c, i] = work[i, c]
         P[c, c] += par[P_Q + c] * dt
+    if n > 25:
+        keep = 1.0 - par[P_GNSS] * dt
+        for i in range(25, n):
+            P[i, i] -= par[P_Q + i] * dt
+            for c in range(n):
+                P[i, c] *= keep
+                P[c, i] *= keep
+            P[i, i] += par[P_Q + i] * dt
     for i in range(3):
         P[i, i] += par[P_Q + i] * dt
         P[3 + i, 3 + i] += (par[P_Q + 3 + i] * factor + extra_v) * dt

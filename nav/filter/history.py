@@ -30,7 +30,7 @@ from nav.filter.propagate import (
     solution_row,
 )
 from nav.filter.recovery import inflate
-from nav.filter.states import FULL, X_PATH, X_PT, X_SIZE
+from nav.filter.states import ALL, X_PATH, X_PT, X_SIZE
 from nav.types import S, Vector
 
 CAPACITY: Final = 2048
@@ -98,7 +98,7 @@ class Timeline:
         self.live = Filter(states)
         self._work = Filter(states)
         self._working = False
-        self._scratch = np.zeros((WORK_ROWS, FULL))
+        self._scratch = np.zeros((WORK_ROWS, ALL))
         self._out = np.zeros(12)
         self.rest = np.zeros(REST_SIZE)
         self._ring = np.zeros((CAPACITY, ROW_SIZE))

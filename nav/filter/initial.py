@@ -28,9 +28,9 @@ def initial_state(init: NavInit, config: NavigatorConfig) -> tuple[Vector, Vecto
     x[st.X_BG : st.X_BG + 3] = init.gyro_bias
     x[st.X_BA : st.X_BA + 3] = init.accel_bias
 
-    P = np.zeros((st.FULL, st.FULL))
+    P = np.zeros((st.ALL, st.ALL))
     imu = config.imu
-    d = np.zeros(st.FULL)
+    d = np.zeros(st.ALL)
     d[st.POSITION] = init.sigma_p
     d[st.VELOCITY] = init.sigma_v
     d[st.GYRO_BIAS] = init.sigma_gyro_bias
@@ -46,12 +46,13 @@ def initial_state(init: NavInit, config: NavigatorConfig) -> tuple[Vector, Vecto
         C_vb = init.C_vb
         sigma = init.sigma_mounting if init.sigma_mounting is not None else np.full(3, _MOUNTING_FOUND)
         d[st.MOUNTING] = sigma[[0, 2]]
+        x[st.X_ROLL] = sigma[1] ** 2
     else:
         # v is b until it is found; what is shown then is b's attitude, with b's sigma
         C_vb, known = np.eye(3), False
     x[st.X_QV : st.X_QV + 4] = rot.quat_from_dcm(C_vb)
     x[st.X_Q0 : st.X_Q0 + 4] = x[st.X_QV : st.X_QV + 4]
-    P[np.diag_indices(st.FULL)] = d**2
+    P[np.diag_indices(st.ALL)] = d**2
     if init.P is not None:
         # the alignment's errors are true minus estimate but for phi
         sign = np.ones(15)
@@ -59,5 +60,12 @@ def initial_state(init: NavInit, config: NavigatorConfig) -> tuple[Vector, Vecto
         P[:15, :15] = init.P * np.outer(sign, sign)
     else:
         P[st.PHI, st.PHI] = init.P_phi
+    horizontal, vertical = config.gnss_correlated
+    slow = np.diag(np.square([horizontal, horizontal, vertical]))
+    P[st.GNSS, st.GNSS] = slow
+    if config.align is None or config.align.position is None:
+        # the first position is the receiver's, and all of this is in it
+        P[st.POSITION, st.POSITION] += slow
+        P[st.POSITION, st.GNSS] = P[st.GNSS, st.POSITION] = -slow
     n = config.states
     return x, P[:n, :n].copy(), known

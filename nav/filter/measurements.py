@@ -27,6 +27,7 @@ from nav.filter.states import (
     X_BB,
     X_BG,
     X_F,
+    X_GB,
     X_KO,
     X_PATH,
     X_PT,
@@ -100,7 +101,7 @@ def _eb_rate(x: Vector) -> tuple[float, float, float]:
 
 @kernel
 def gnss_position(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
-    """Antenna position. ``z``: tau, Earth-fixed x, y, z (m), sigmas east, north, up (m).
+    """Antenna position. ``z``: tau, Earth-fixed x, y, z (m), sigmas east, north, up (m) of the white part.
 
     Residual in n. Groves, eqs. (14.103) and (14.109) in the wander frame, with the lever arm.
     """
@@ -128,6 +129,10 @@ def gnss_position(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
     H[0, 7], H[0, 8] = -lz, ly
     H[1, 6], H[1, 8] = lz, -lx
     H[2, 6], H[2, 7] = -ly, lx
+    if n > 25:
+        for i in range(3):
+            r[i] += x[X_GB + i]
+            H[i, 25 + i] = 1.0
     return _finish(x, P, H, r, _level_noise(C, z[4], z[5], z[6]), np.zeros((n, 3)), gate, out)
 
 

@@ -13,6 +13,7 @@ from nav.filter.states import (
     P_AXES,
     P_GAP_A,
     P_GAP_W,
+    P_GNSS,
     P_LO,
     P_LP,
     P_PUSH,
@@ -24,11 +25,13 @@ from nav.filter.states import (
     X_BB,
     X_BG,
     X_F,
+    X_GB,
     X_KO,
     X_PATH,
     X_PT,
     X_Q0,
     X_QV,
+    X_ROLL,
     X_SA,
     X_SG,
     X_W,
@@ -49,7 +52,7 @@ ROW_SIZE: Final = 15
 REST_SIZE: Final = 10
 
 WORK_ROWS: Final = 20
-"""Rows of the scratch matrix (WORK_ROWS, FULL) that the kernels share."""
+"""Rows of the scratch matrix (WORK_ROWS, ALL) that the kernels share."""
 
 
 @kernel
@@ -127,6 +130,10 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Matrix, row: Vector) -> N
     x[X_PATH + 2] += bz * dt
     x[X_PT] += dt
 
+    keep = 1.0 - par[P_GNSS] * dt
+    for i in range(3):
+        x[X_GB + i] *= keep
+
     # what scale and axes of the sensors do to motion: an error of velocity with a change of speed, an error
     # of angle about its axis with a turn
     a2 = x[X_A] * x[X_A] + x[X_A + 1] * x[X_A + 1] + x[X_A + 2] * x[X_A + 2]
@@ -188,7 +195,7 @@ def _sigma(P: Matrix, first: int, a: float, b: float, c: float) -> float:
 def solution_row(x: Vector, P: Matrix, par: Vector, h: Vector, out: Vector) -> bool:
     """Fill ``out`` (S.SIZE,) with the solution of the output point in vehicle axes, layout `nav.types.S`.
 
-    ``h`` (FULL,) is scratch. Returns False when anything in it is not finite.
+    ``h`` (ALL,) is scratch. Returns False when anything in it is not finite.
     """
     C = x[X_C : X_C + 9]
     qw, qx, qy, qz = x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3]
@@ -233,6 +240,7 @@ def solution_row(x: Vector, P: Matrix, par: Vector, h: Vector, out: Vector) -> b
     # phi, attitude with the mounting's share
     m0x, m0y, m0z = rotate(nw, ni, nj, nk, 1.0, 0.0, 0.0)
     m1x, m1y, m1z = rotate(nw, ni, nj, nk, 0.0, 0.0, 1.0)
+    rx, ry, rz = rotate(nw, ni, nj, nk, 0.0, 1.0, 0.0)
     for axis in range(3):
         ex, ey, ez = 0.0, 0.0, 1.0
         if axis == 0:
@@ -251,6 +259,7 @@ def solution_row(x: Vector, P: Matrix, par: Vector, h: Vector, out: Vector) -> b
                     s += 2.0 * e * h[j] * P[o + i, 6 + j] + h[i] * h[j] * P[6 + i, 6 + j]
             out[16 + o + axis] = np.sqrt(max(s, 0.0))
         s = _sigma(P, 6, ex, ey, ez) ** 2 + par[P_AXES]
+        s += (ex * rx + ey * ry + ez * rz) ** 2 * x[X_ROLL]
         a, b = ex * m0x + ey * m0y + ez * m0z, ex * m1x + ey * m1y + ez * m1z
         s += a * a * P[16, 16] + 2.0 * a * b * P[16, 17] + b * b * P[17, 17]
         for i in range(3):

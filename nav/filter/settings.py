@@ -63,6 +63,8 @@ class NavigatorConfig:
     samples will come. Other times in s, sigmas in SI units:
 
     - ``gnss_position_floor``, ``gnss_velocity_floor``: least sigmas of a fix
+    - ``gnss_correlated`` m, horizontal per axis and vertical: the part of the receiver's position error that
+      varies slowly, with ``gnss_correlation`` s; it is contained in the sigmas of a fix. Zero: all white
     - ``gnss_velocity_age``: the velocity of a fix holds this long before its position (filtered or
       differenced velocities lag)
     - ``odometer_interval``: ticks are gathered this long; ``odometer_sigma`` m/s, ``odometer_quantum`` m
@@ -95,6 +97,8 @@ class NavigatorConfig:
     barometer_timeout: float | None = None
     gnss_position_floor: float = 0.005
     gnss_velocity_floor: float = 0.005
+    gnss_correlated: tuple[float, float] = (0.0, 0.0)
+    gnss_correlation: float = 120.0
     gnss_velocity_age: float = 0.0
     odometer_interval: float = 0.2
     odometer_sigma: float = 0.03
@@ -124,6 +128,8 @@ class NavigatorConfig:
     @property
     def states(self) -> int:
         """Number of error states of the filter."""
+        if max(self.gnss_correlated) > 0.0:
+            return st.ALL
         return st.FULL if self.imu.gyro_scale or self.imu.accel_scale else st.BASIC
 
 
@@ -163,7 +169,7 @@ def parameters(config: NavigatorConfig) -> Vector:
     # longer than these
     p[st.P_TURN] = imu.gyro_axes**2 * _TURN
     p[st.P_PUSH] = imu.accel_axes**2 * _PUSH
-    q = p[st.P_Q : st.P_Q + st.FULL]
+    q = p[st.P_Q : st.P_Q + st.ALL]
     q[st.VELOCITY] = imu.velocity_random_walk**2
     q[st.PHI] = imu.angle_random_walk**2
     # a bias is a constant and a part that wanders; one state for both must not decay, so the wandering
@@ -173,4 +179,7 @@ def parameters(config: NavigatorConfig) -> Vector:
     q[st.ODO_SCALE] = config.odometer_scale_walk**2
     q[st.MOUNTING] = config.mounting_walk**2 if config.C_vb is None or config.sigma_mounting > 0.0 else 0.0
     q[st.BARO_BIAS] = config.baro_wander**2
+    horizontal, vertical = config.gnss_correlated
+    p[st.P_GNSS] = 1.0 / config.gnss_correlation
+    q[st.GNSS] = 2.0 * np.square([horizontal, horizontal, vertical]) / config.gnss_correlation
     return p

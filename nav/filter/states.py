@@ -13,6 +13,8 @@ follows the naming law: computed ``C = (I - [phi x]) C_nb``, so that the true at
 - baro bias (1): m, of what is added to the height to predict the barometer
 - gyro scale, accel scale (3 + 3): of s in ``measured = (1 + s) true + bias``; these last six are left
   out of the filter where their initial sigma is zero
+- gnss (3): metres along n, of the slowly varying error of the receiver's position (orbits, ionosphere,
+  reflections), which decays to zero with its correlation time; left out where its sigma is zero
 
 The nominal state that they correct is one float64 vector: the strapdown state (see
 `nav.strapdown.kernels`), then the places ``X_`` below.
@@ -32,10 +34,13 @@ MOUNTING: Final = slice(16, 18)
 BARO_BIAS: Final = slice(18, 19)
 GYRO_SCALE: Final = slice(19, 22)
 ACCEL_SCALE: Final = slice(22, 25)
+GNSS: Final = slice(25, 28)
 BASIC: Final = 19
 """Number of states without the scale factors."""
 FULL: Final = 25
 """Number of states with them."""
+ALL: Final = 28
+"""Number of states with the receiver's error as well."""
 
 X_BG: Final = 17  # gyro bias, 3
 X_BA: Final = 20  # accelerometer bias, 3
@@ -50,7 +55,9 @@ X_A: Final = 41  # mean acceleration of the last update in n (rate of v_n), 3
 X_PATH: Final = 44  # integral of the odometer point's velocity in v since the last odometer epoch, 3
 X_PT: Final = 47  # and its duration, s
 X_Q0: Final = 48  # q_vb as configured or first found, the reference of the mounting shown, 4
-X_SIZE: Final = 52
+X_GB: Final = 52  # slowly varying error of the receiver's position in n, 3
+X_ROLL: Final = 55  # variance of the mounting's roll, which no measurement shows
+X_SIZE: Final = 56
 
 # Places in the parameter vector that kernels take.
 P_LG: Final = 0  # lever arm IMU to GNSS antenna in b, 3
@@ -65,5 +72,6 @@ P_PUSH: Final = 14  # variance of velocity that a change of speed adds per m/s, 
 P_AXES: Final = 15  # variance of attitude that no aid can take away, rad^2
 P_VIB_G: Final = 16  # part of the squared difference of two angle increments that is noise
 P_VIB_A: Final = 17  # likewise of velocity increments
-P_Q: Final = 18  # noise densities of the states, FULL
-P_SIZE: Final = P_Q + FULL
+P_Q: Final = 18  # noise densities of the states, ALL
+P_GNSS: Final = P_Q + ALL  # rate at which the receiver's error decays, 1/s
+P_SIZE: Final = P_GNSS + 1
