@@ -49,7 +49,7 @@ ROW_GAP: Final = 13  # 1: nothing was measured over this interval
 ROW_NOISE: Final = 14  # factor on the noise densities of velocity and phi
 ROW_SIZE: Final = 15
 
-REST_SIZE: Final = 10
+REST_SIZE: Final = 14
 
 WORK_ROWS: Final = 20
 """Rows of the scratch matrix (WORK_ROWS, ALL) that the kernels share."""
@@ -306,7 +306,7 @@ def advance(
 
     ``a1, a2`` (3,) rad and ``v1, v2`` (3,) m/s; duration, gap and noise are in ``row`` already.
     ``rest`` (REST_SIZE,) gathers sums for the detection of standstill: duration, updates, increments of
-    angle and velocity (3 + 3), sums of squared rates and specific forces (over all axes).
+    angle and velocity (3 + 3), sums of squared rates and specific forces (3 + 3).
     """
     for i in range(3):
         row[i] = a1[i]
@@ -320,7 +320,7 @@ def advance(
         a, v = a1[i] + a2[i], v1[i] + v2[i]
         rest[2 + i] += a
         rest[5 + i] += v
-        rest[8] += a * a / (dt * dt)
-        rest[9] += v * v / (dt * dt)
+        rest[8 + i] += a * a / (dt * dt)
+        rest[11 + i] += v * v / (dt * dt)
     propagate(x, P, par, work, row)
     return solution_row(x, P, par, work[0], out)

@@ -73,7 +73,8 @@ class NavigatorConfig:
       ``slip`` s: its growth per lateral acceleration; ``non_holonomic_interval``
     - ``zero_velocity`` sigma m/s, None: off; ``zero_rate`` rad/s sigma added to the white noise, None: off
     - ``rest_gyro`` rad/s, ``rest_accel`` m/s^2: standard deviations (of the vector, over updates) below which
-      an IMU stands still, None: from what the alignment saw at rest; ``rest_speed`` m/s: and the speed;
+      an IMU stands still, None: from what the alignment saw at rest, axis by axis; ``rest_speed`` m/s: and
+      the speed;
       ``rest_interval``: over how long
     - ``baro_bias`` m initial sigma, ``baro_wander`` m/sqrt(s)
     - ``gap_limit``: a longer silence of the IMU ends navigation; ``gap_rate`` rad/s and ``gap_accel`` m/s^2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -20,11 +21,23 @@ class Rest:
     rate_b: Vector
 
 
-def _limit(configured: float | None, seen: Vector | None, least: float, usual: float) -> float:
-    """Standard deviation below which an IMU is quiet: twice what it showed at rest."""
-    if configured is not None:
-        return configured
-    return usual if seen is None else max(least, 2.0 * float(np.sqrt(seen @ seen)))
+_FACTOR: Final = 1.25  # of the standard deviation of single samples that the alignment saw at rest
+_LEAST_RATE: Final = 1e-3  # rad/s: no axis need be quieter than this,
+_LEAST_FORCE: Final = 0.02  # m/s^2, nor this
+_USUAL_RATE: Final = 0.01  # rad/s, of all three axes, where nothing was seen or configured
+_USUAL_FORCE: Final = 0.15  # m/s^2
+
+
+def _limits(
+    configured: float | None, seen: Vector | None, least: float, usual: float
+) -> tuple[float, Vector]:
+    """Standard deviation below which a triad is quiet, of the vector and of each axis (3,).
+
+    What the alignment saw counts for every axis alone: an engine shakes one most, and a quiet one tells more.
+    """
+    if configured is not None or seen is None:
+        return usual if configured is None else configured, np.full(3, np.inf)
+    return np.inf, np.maximum(_FACTOR * seen, least)
 
 
 class Standstill:
@@ -34,8 +47,9 @@ class Standstill:
         self._config = config
         seen_rate = None if init is None else init.rest_rate
         seen_force = None if init is None else init.rest_force
-        self._gyro = _limit(config.rest_gyro, seen_rate, 2e-3, 0.01)
-        self._accel = _limit(config.rest_accel, seen_force, 0.03, 0.15)
+        self._gyro, gyros = _limits(config.rest_gyro, seen_rate, _LEAST_RATE, _USUAL_RATE)
+        self._accel, accels = _limits(config.rest_accel, seen_force, _LEAST_FORCE, _USUAL_FORCE)
+        self._axes = np.concatenate([gyros, accels])
         self._since_ns: int | None = None  # the odometer has stood since then
         self._odo_ns: int | None = None
         self._waiting: list[Rest] = []
@@ -51,10 +65,13 @@ class Standstill:
         start = t_ns - round(duration * 1e9)
         rate = rest[2:5] / duration
         force = rest[5:8] / duration
-        gyro = float(rest[8] / n - rate @ rate)
-        accel = float(rest[9] / n - force @ force)
+        variance = rest[8:14] / n - np.concatenate([rate, force]) ** 2
         rest[:] = 0.0
-        quiet = gyro < self._gyro**2 and accel < self._accel**2
+        quiet = (
+            float(np.sum(variance[0:3])) < self._gyro**2
+            and float(np.sum(variance[3:6])) < self._accel**2
+            and bool(np.all(variance < self._axes**2))
+        )
         found = Rest(start, t_ns, rate)
         if self._odo_ns is not None and t_ns - self._odo_ns < 1_000_000_000:
             # the wheel's word on the end of the interval may still be on its way

@@ -1,0 +1,73 @@
+"""What a standstill looks like: limits that are configured, usual, or learned axis by axis at rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nav.align.types import NavInit
+from nav.filter.settings import ImuErrors, NavigatorConfig
+from nav.filter.standstill import Standstill
+
+CONFIG = NavigatorConfig(ImuErrors(1e-5, 1e-3, 1e-5, 1e-3))
+REST = np.array([0.01, 0.002, 0.002]), np.array([0.05, 0.3, 0.05])  # an engine at idle
+INIT = NavInit(
+    0,
+    0.7,
+    0.2,
+    100.0,
+    np.zeros(3),
+    np.array([1.0, 0.0, 0.0, 0.0]),
+    np.eye(3) * 1e-4,
+    *(np.full(3, 0.1) for _ in range(6)),
+    rest_rate=REST[0],
+    rest_force=REST[1],
+)
+
+
+def stands(config, init, rate, force, speed=0.0):
+    """Whether an interval with these standard deviations (3,) of single updates counts as a rest."""
+    mean = np.concatenate([[0.01, -0.02, 0.03], [0.1, -0.2, 9.8]])
+    n = 25
+    rest = np.zeros(14)
+    rest[0], rest[1] = 0.5, n
+    rest[2:8] = mean * 0.5
+    rest[8:14] = n * (mean**2 + np.concatenate([rate, force]) ** 2)
+    found = Standstill(config, init).interval(1_000_000_000, rest, np.array([speed, 0.0, 0.0]), 0.1)
+    assert not rest.any()  # begun again
+    if found is not None:
+        np.testing.assert_allclose(found.rate_b, mean[:3], rtol=1e-12)
+        assert (found.start_ns, found.end_ns) == (500_000_000, 1_000_000_000)
+    return found is not None
+
+
+def test_an_axis_may_shake_as_it_did_at_rest():
+    assert stands(CONFIG, INIT, *REST)
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_no_axis_may_shake_a_third_more_than_it_did_at_rest(axis):
+    shaken = np.concatenate(REST)
+    shaken[axis] *= 1.33
+    assert not stands(CONFIG, INIT, shaken[:3], shaken[3:])
+
+
+def test_a_quiet_axis_does_not_excuse_another():
+    # below the sum over axes of what was seen at rest, yet a motion that no axis but the first had
+    assert not stands(CONFIG, INIT, np.array([0.002, 0.008, 0.002]), REST[1])
+
+
+def test_what_is_configured_comes_first():
+    config = replace(CONFIG, rest_gyro=0.02, rest_accel=1.0)
+    assert stands(config, INIT, np.array([0.002, 0.018, 0.002]), np.array([0.9, 0.1, 0.1]))
+    assert not stands(config, INIT, np.array([0.015, 0.015, 0.002]), np.array([0.9, 0.1, 0.1]))
+
+
+def test_nothing_seen_and_nothing_configured():
+    assert stands(CONFIG, None, np.full(3, 0.005), np.full(3, 0.08))
+    assert not stands(CONFIG, None, np.full(3, 0.006), np.full(3, 0.08))
+    assert not stands(CONFIG, None, np.full(3, 0.005), np.full(3, 0.09))
+
+
+def test_a_smooth_ride_is_no_standstill():
+    assert not stands(CONFIG, INIT, *REST, speed=0.6)
