@@ -21,6 +21,7 @@ from bridge.sources.base import Notice, Received, SourceContext
 from bridge.sources.can_errors import describe
 
 _BURST: Final = 2000  # frames in one poll
+_DOUBT_NS: Final = 1_000_000  # of the wall clock against the monotonic one
 _RETRY_NS: Final = 500_000_000
 _QUIET_NS: Final = 1_000_000_000
 _REPORT_NS: Final = 1_000_000_000
@@ -48,7 +49,7 @@ class CanBus:
         self._counts: Counter[str] = Counter()
         self._state = "unknown"
         self._drops = 0
-        self._last_poll_ns = 0
+        self._emptied_ns = 0  # when nothing was left in the queue: what comes later is not older
         self._heard_ns = 0
         self._retry_ns = 0
         self._faults = 0
@@ -63,7 +64,7 @@ class CanBus:
         except Exception as error:  # every interface of python-can has errors of its own
             bus = f'{self._options.interface} "{self._options.channel}"'
             raise SourceError(f"source {self.context.name}: cannot open {bus}: {_reason(error)}") from error
-        self._heard_ns = self._last_poll_ns = self.context.clock.monotonic_ns()
+        self._heard_ns = self._emptied_ns = self.context.clock.monotonic_ns()
 
     def descriptors(self) -> Sequence[int]:
         """The bus's file descriptor, where its interface has one."""
@@ -76,13 +77,14 @@ class CanBus:
             self._reopen(now_ns)
         if self._bus is None:
             return []
-        earliest_ns = self._last_poll_ns - 1_000_000
+        earliest_ns = self._emptied_ns - _DOUBT_NS
         was_down = self._state == "down"
         if self._socket is not None:
-            frames = self._poll_socket(self._socket, earliest_ns, deadline_ns)
+            frames, emptied = self._poll_socket(self._socket, earliest_ns, deadline_ns)
         else:
-            frames = self._poll_bus(self._bus, earliest_ns, deadline_ns)
-        self._last_poll_ns = now_ns
+            frames, emptied = self._poll_bus(self._bus, earliest_ns, deadline_ns)
+        if emptied:
+            self._emptied_ns = now_ns
         if frames:
             self._heard_ns = now_ns
             self._counts["frames"] += len(frames)
@@ -177,7 +179,7 @@ class CanBus:
             self._open()
         except Exception:
             return
-        self._heard_ns = self._last_poll_ns = now_ns
+        self._heard_ns = self._emptied_ns = now_ns
         self._tell(Event.BUS_STATE, state="back", text="the interface is there again")
 
     def _lose(self, reason: str) -> None:
@@ -198,14 +200,17 @@ class CanBus:
 
     # receiving
 
-    def _poll_socket(self, sock: socket.socket, earliest_ns: int, deadline_ns: int) -> list[Received]:
+    def _poll_socket(
+        self, sock: socket.socket, earliest_ns: int, deadline_ns: int
+    ) -> tuple[list[Received], bool]:
+        """Frames, and whether none was left behind."""
         frames: list[Received] = []
         clock, to_monotonic = self.context.clock, self.context.wall.to_monotonic
         for _ in range(_BURST):
             try:
                 got = can_socket.receive(sock)
             except BlockingIOError:
-                break
+                return frames, True
             except OSError as error:
                 self._fault(error)
                 break
@@ -221,9 +226,10 @@ class CanBus:
                     frames.append((to_monotonic(utc_ns, earliest_ns, now_ns), key, data))
             if now_ns >= deadline_ns:
                 break
-        return frames
+        return frames, False
 
-    def _poll_bus(self, bus: can.BusABC, earliest_ns: int, deadline_ns: int) -> list[Received]:
+    def _poll_bus(self, bus: can.BusABC, earliest_ns: int, deadline_ns: int) -> tuple[list[Received], bool]:
+        """Frames, and whether none was left behind."""
         frames: list[Received] = []
         clock, to_monotonic = self.context.clock, self.context.wall.to_monotonic
         # not left to python-can: its recv takes a frame that was filtered out for an empty queue
@@ -235,7 +241,7 @@ class CanBus:
                 self._fault(error)
                 break
             if message is None:
-                break
+                return frames, True
             self._faults = 0
             now_ns = clock.monotonic_ns()
             key = _key(message)
@@ -246,7 +252,7 @@ class CanBus:
                 frames.append((to_monotonic(round(message.timestamp * 1e9), earliest_ns, now_ns), key, data))
             if now_ns >= deadline_ns:
                 break
-        return frames
+        return frames, False
 
     def _fault(self, error: Exception) -> None:
         number = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol
 
 READ_BYTES: Final = 65536
+BURST: Final = 200
+"""Chunks that one `Transport.receive` returns at most; fewer mean that none was left."""
 RETRY_NS: Final = 1_000_000_000
 """Time between two attempts to get a lost connection back."""
 

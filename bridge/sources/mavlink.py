@@ -12,7 +12,7 @@ from bridge.frame import Event
 from bridge.options import MavlinkSource
 from bridge.outputs import Transmit
 from bridge.sources.base import Notice, Received, SourceContext
-from bridge.sources.carrier import Chunk
+from bridge.sources.carrier import BURST, Chunk
 from bridge.sources.mavlink_framing import Framer, Packet
 from bridge.sources.transports import make_transport
 
@@ -41,7 +41,7 @@ class MavlinkLink:
         self._counts: Counter[str] = Counter()
         self._peers: dict[tuple[int, int], tuple[int, str]] = {}
         self._notices: list[Notice] = []
-        self._last_poll_ns = 0
+        self._emptied_ns = 0  # when nothing was left to read: what comes later is not older
         self._check_ns = 0
 
     def open(self) -> None:
@@ -53,7 +53,7 @@ class MavlinkLink:
             raise SourceError(
                 f"source {self.context.name}: cannot open {self._options.url}: {reason}"
             ) from error
-        self._last_poll_ns = self.context.clock.monotonic_ns()
+        self._emptied_ns = self.context.clock.monotonic_ns()
 
     def descriptors(self) -> Sequence[int]:
         """File descriptors of the link."""
@@ -64,8 +64,9 @@ class MavlinkLink:
         now_ns = self.context.clock.monotonic_ns()
         frames: list[Received] = []
         accept = self.context.accept
-        for chunk in self._transport.receive(now_ns):
-            rx_ns = self.context.wall.to_monotonic(chunk.utc_ns, self._last_poll_ns - 1_000_000, now_ns)
+        chunks = self._transport.receive(now_ns)
+        for chunk in chunks:
+            rx_ns = self.context.wall.to_monotonic(chunk.utc_ns, self._emptied_ns - 1_000_000, now_ns)
             for packet in self._split(chunk):
                 sender = (packet.system, packet.component)
                 if sender == self._us:
@@ -82,7 +83,8 @@ class MavlinkLink:
             self._check_ns = now_ns + _CHECK_NS
             self._miss(now_ns)
         self._counts["frames"] += len(frames)
-        self._last_poll_ns = now_ns
+        if len(chunks) < BURST:
+            self._emptied_ns = now_ns
         return frames
 
     def notices(self) -> list[Notice]:

@@ -10,13 +10,12 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-from bridge.sources.carrier import READ_BYTES, RETRY_NS, Chunk
+from bridge.sources.carrier import BURST, READ_BYTES, RETRY_NS, Chunk
 
 _STAMP: Final = struct.Struct("@qq")
 _ANCILLARY: Final = socket.CMSG_SPACE(_STAMP.size)
 _SO_TIMESTAMPNS: Final = 35
 _BUFFER_BYTES: Final = 1 << 20
-_BURST: Final = 200
 _LISTENERS: Final = 8  # addresses that a listening link answers
 _FORGET_NS: Final = 10_000_000_000
 _BACKLOG_BYTES: Final = 65536
@@ -64,7 +63,7 @@ class Udp:
         chunks: list[Chunk] = []
         if self._socket is None:
             return chunks
-        for _ in range(_BURST):
+        for _ in range(BURST):
             try:
                 data, ancillary, _, source = self._socket.recvmsg(READ_BYTES, _ANCILLARY)
             except OSError:  # empty, or an error a peer caused
@@ -217,7 +216,7 @@ class Tcp:
 
     def _read(self) -> list[Chunk]:
         chunks: list[Chunk] = []
-        while self._socket is not None and len(chunks) < _BURST:
+        while self._socket is not None and len(chunks) < BURST:
             try:
                 data = self._socket.recv(READ_BYTES)
             except BlockingIOError:

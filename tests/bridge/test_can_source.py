@@ -5,6 +5,7 @@ import itertools
 import json
 import socket
 import struct
+import time
 from collections.abc import Iterator
 
 import can
@@ -66,6 +67,20 @@ def test_frames_arrive_with_their_flags_in_order(pair: tuple[CanBus, can.BusABC]
         assert before - 5_000_000 <= rx_ns <= source.context.clock.monotonic_ns()
     assert source.poll(FOREVER) == []
     assert source.counters()["frames"] == 3
+
+
+def test_frames_left_in_the_queue_keep_their_stamps(pair: tuple[CanBus, can.BusABC]) -> None:
+    source, bus = pair
+    for number in range(5):
+        bus.send(can.Message(arbitration_id=number, is_extended_id=False))
+    sent_ns = source.context.clock.monotonic_ns()
+    got = []
+    for _ in range(5):
+        time.sleep(0.005)
+        got += source.poll(0)  # the time for this poll is over: one frame
+    assert [key for _, key, _ in got] == list(range(5))
+    # the wall clock, in which they are stamped, is known to well under a millisecond
+    assert max(rx_ns for rx_ns, _, _ in got) < sent_ns + 1_000_000
 
 
 def test_what_is_sent_reaches_the_others_and_not_us(pair: tuple[CanBus, can.BusABC]) -> None:

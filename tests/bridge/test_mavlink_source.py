@@ -17,6 +17,7 @@ from bridge.frame import Event
 from bridge.options import MavlinkSource
 from bridge.outputs import Transmit
 from bridge.sources.base import Received, SourceContext
+from bridge.sources.carrier import BURST
 from bridge.sources.mavlink import MavlinkLink
 from bridge.sources.mavlink_framing import Framer
 from bridge.sources.transports import make_transport
@@ -76,6 +77,26 @@ def wait_for_news(source: MavlinkLink) -> list[str]:
             return news
         time.sleep(0.002)
     return []
+
+
+def test_packets_left_in_the_queue_keep_their_stamps() -> None:
+    source = link("udpin:127.0.0.1:0")
+    try:
+        clock = source.context.clock
+        (number,) = source.descriptors()
+        with socket.socket(fileno=os.dup(number)) as bound, socket.socket(type=socket.SOCK_DGRAM) as peer:
+            for packet in packets(2 * BURST):
+                peer.sendto(packet, bound.getsockname())
+        sent_ns = clock.monotonic_ns()
+        got: list[Received] = []
+        for _ in range(3):
+            time.sleep(0.005)
+            got += source.poll(FOREVER)
+        assert len(got) == 2 * BURST
+        # the wall clock, in which they are stamped, is known to well under a millisecond
+        assert max(rx_ns for rx_ns, _, _ in got) < sent_ns + 1_000_000
+    finally:
+        source.close()
 
 
 @pytest.mark.parametrize("version", [1, 2])
