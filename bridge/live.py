@@ -135,7 +135,7 @@ class Live:
         if step_ns := self._wall.update():
             self._event(now_ns, Event.CLOCK_STEP, {"step_ns": step_ns})
         for source in self._sources:
-            received = source.poll(now_ns + _BUDGET_NS)
+            received = source.poll(clock.monotonic_ns() + _BUDGET_NS)
             for notice in source.notices():
                 self._event(notice.rx_ns, notice.event, notice.body)
             number = source.context.number
