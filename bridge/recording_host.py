@@ -15,6 +15,9 @@ from pathlib import Path
 from typing import Final
 
 _ROOMS: Final = ("bridge", "dbc", "nav")
+_STEERING: Final = re.compile(
+    r"(OPENBLAS|MKL|BLIS|OMP|NPY|GLIBC)_\w+|NUMBA_(CPU_|OPT|ENABLE_|DISABLE_|SLP|LOOP_)\w*"
+)
 _IMPLIED: Final = ("llvmlite", "scipy")  # compiled code below numba and filterpy
 
 
@@ -31,7 +34,13 @@ def environment() -> dict[str, str]:
         "cpu_flags": flags,
         "libc": " ".join(platform.libc_ver()),
         "libm": _libm(),
+        "variables": json.dumps(variables()),
     }
+
+
+def variables() -> dict[str, str]:
+    """Environment variables that choose among the kernels of numerical libraries, which round differently."""
+    return {name: value for name, value in sorted(os.environ.items()) if _STEERING.fullmatch(name)}
 
 
 def differences(recorded: dict[str, str]) -> list[str]:

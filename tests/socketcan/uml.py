@@ -24,6 +24,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
+from bridge.recording_host import variables
+
 CHANNEL: Final = "vcan0"
 PACKAGES: Final = ("user-mode-linux", "kmod", "iproute2", "can-utils")
 MODULES: Final = (
@@ -168,6 +170,7 @@ class UmlMachine:
         exports = {
             "PATH": f"{os.environ.get('PATH', '')}:/usr/local/sbin:/usr/sbin:/usr/bin:/sbin:/bin",
             "HOME": os.environ.get("HOME", "/root"),
+            **variables(),  # or other kernels of the same libraries would be at work in there
             **env,
         }
         # the file is put in place in one step: a guest that dies while writing leaves none
