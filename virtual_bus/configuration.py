@@ -48,20 +48,20 @@ def imu_errors(grade: Grade) -> dict[str, float]:
     Errors of scale are given where they are large. Small ones, and those of the axes, look like biases of
     the accelerometers at 1 g and are counted as such.
     """
-    # gyros and accelerometers that disagree about the vertical look like a bias too
-    tilt_ug = math.hypot(grade.accel_misalignment_arcsec, grade.gyro_misalignment_arcsec) * ARCSEC * 1e6
     large = grade.gyro_scale_ppm >= _SCALE_MATTERS_PPM
+    # at 1 g as many ug: misalignment level, scale upright
+    accel_axes = _axes_ppm(grade.accel_misalignment_arcsec, 0.0 if large else grade.accel_scale_ppm)
     return {
         "gyro_bias_deg_per_h": grade.gyro_bias_deg_per_h,
         "gyro_instability_deg_per_h": grade.gyro_instability_deg_per_h,
         "gyro_random_walk_deg_per_sqrt_h": grade.gyro_random_walk_deg_per_sqrt_h,
         "gyro_scale_ppm": grade.gyro_scale_ppm if large else 0.0,
-        "accel_bias_ug": math.hypot(grade.accel_bias_ug, tilt_ug, 0.0 if large else grade.accel_scale_ppm),
+        "accel_bias_ug": math.hypot(grade.accel_bias_ug, accel_axes),
         "accel_instability_ug": grade.accel_instability_ug,
         "accel_random_walk_ug_per_sqrt_hz": grade.accel_random_walk_ug_per_sqrt_hz,
         "accel_scale_ppm": grade.accel_scale_ppm if large else 0.0,
         "gyro_axes_ppm": _axes_ppm(grade.gyro_misalignment_arcsec, 0.0 if large else grade.gyro_scale_ppm),
-        "accel_axes_ppm": _axes_ppm(grade.accel_misalignment_arcsec, 0.0 if large else grade.accel_scale_ppm),
+        "accel_axes_ppm": accel_axes,
         "correlation_s": grade.correlation_s,
     }
 
