@@ -75,8 +75,8 @@ class Report:
     """What a replay found.
 
     ``recorded`` is the final digest of the recording (None: it was cut off), ``verified`` counts the
-    checkpoints that agree, ``failed`` is the first that does not. ``breaks_ns`` is the time of the first
-    frame that had not been recorded; from there on nothing can agree. ``machine`` names what differs
+    checkpoints that agree. ``breaks_ns`` is the time at which frames are first marked as not recorded; what
+    closes behind that mark cannot agree. ``failed`` is the first checkpoint before it that does not. ``machine`` names what differs
     between the recording machine and this one.
     """
 
@@ -98,9 +98,8 @@ class Report:
     @property
     def agrees(self) -> bool:
         """Whether everything that can be compared is equal."""
-        if self.failed is not None:
-            return self.breaks_ns is not None and self.failed.t_ns >= self.breaks_ns
-        return self.recorded in (None, self.digest) or self.breaks_ns is not None
+        broken = self.breaks_ns is not None or self.unrecorded > 0
+        return self.failed is None and (broken or self.recorded in (None, self.digest))
 
     @property
     def other_machine(self) -> bool:
@@ -120,7 +119,7 @@ def replay(
         if item.get("solution")
     }
     deviation = Deviation()
-    frames = verified = unrecorded = 0
+    frames = verified = 0
     first_ns = last_ns = None
     breaks_ns: int | None = None
     failed: Checkpoint | None = None
@@ -143,7 +142,7 @@ def replay(
                 seen.add(key)
                 if key in expected and expected[key].sha256 == output.sha256:
                     verified += 1
-                elif key in expected and failed is None:
+                elif key in expected and failed is None and breaks_ns is None:
                     failed = output
             elif isinstance(output, SolutionOut) and kept:
                 state = kept.pop((output.navigator, output.solution.t_ns), None)
@@ -153,10 +152,10 @@ def replay(
             watch(outputs)
     elapsed = time.perf_counter() - started
     damage = capture.damage
-    if failed is None:
+    unrecorded = int(result.get("unrecorded", "0"))
+    if failed is None and breaks_ns is None and not unrecorded:
         failed = next((item for key, item in expected.items() if key not in seen), None)
     deviation.missing = len(kept)
-    unrecorded = int(result.get("unrecorded", "0"))
     digests = dict(engine.digests())
     return Report(
         digest=combine(digests),
