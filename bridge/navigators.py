@@ -81,6 +81,9 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         gnss_lever_arm=gnss_lever_arm,
         odometer_lever_arm=np.array(options.odometer_lever_arm_m),
         output_point=np.array(options.output_point_m),
+        gnss_position_floor=options.gnss_position_floor_m,
+        gnss_velocity_floor=options.gnss_velocity_floor_m_s,
+        gnss_velocity_age=options.gnss_velocity_age_ms * 1e-3,
         gnss_correlated=options.gnss_correlated_m,
         gnss_correlation=options.gnss_correlation_s,
         odometer=rolls,
@@ -95,7 +98,8 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         odometer_scale=options.odometer_scale_ppm * 1e-6,
         non_holonomic=options.non_holonomic_sigma_m_s if options.non_holonomic else None,
         zero_velocity=options.zero_velocity_sigma_m_s or None,
-        rest_gyro=options.rest_gyro_deg_per_s * _DEG,
+        zero_rate=options.zero_rate_sigma_deg_per_s * _DEG or None,
+        rest_gyro=None if options.rest_gyro_deg_per_s is None else options.rest_gyro_deg_per_s * _DEG,
         rest_accel=options.rest_accel_m_s2,
         baro_bias=options.barometer_bias_m,
         gap_limit=options.gap_limit_s,
@@ -129,6 +133,8 @@ def _imu_errors(options: NavigatorOptions) -> ImuErrors:
         accel_scale=table.accel_scale_ppm * 1e-6,
         gyro_axes=table.gyro_axes_ppm * 1e-6,
         accel_axes=table.accel_axes_ppm * 1e-6,
+        gyro_vibration=table.gyro_vibration,
+        accel_vibration=table.accel_vibration,
     )
 
 
@@ -151,6 +157,7 @@ def _align(
         sigma_position=table.position_sigma_m,
         sway=table.sway_m_s,
         gnss_lever_arm=gnss_lever_arm,
+        gnss_velocity_age=options.gnss_velocity_age_ms * 1e-3,
         C_vb=C_vb,
         sigma_heading=table.heading_deg * _DEG,
         window_s=table.window_s,

@@ -76,7 +76,9 @@ class ImuErrors(Table):
 
     A bias is what stays for a whole run, an instability what wanders within ``correlation_s``. Scale errors
     of 0 leave them out of the filter. The ``axes`` errors (misalignment, and scale where it is left out) are
-    what motion about or along one axis puts into another.
+    what motion about or along one axis puts into another. A ``vibration`` is the part of the squared
+    difference of neighbouring samples that is noise: 1 for a sensor that is sampled, on an engine that
+    shakes it faster than half its rate, 0 for one that integrates between its samples.
     """
 
     gyro_bias_deg_per_h: Positive = 0.5
@@ -89,6 +91,8 @@ class ImuErrors(Table):
     accel_scale_ppm: NotNegative = 0.0
     gyro_axes_ppm: NotNegative = 0.0
     accel_axes_ppm: NotNegative = 0.0
+    gyro_vibration: NotNegative = 0.0
+    accel_vibration: NotNegative = 0.0
     correlation_s: Positive = 3600.0
 
 
@@ -121,9 +125,16 @@ class NavigatorOptions(Table):
     ``gnss_correlated_m`` (horizontal per axis, vertical) is how much of a fix's error stays the same over
     ``gnss_correlation_s``; with 0 every fix is taken to be wrong in its own way.
 
-    A ``zero_velocity_sigma_m_s`` of 0 switches zero-velocity updates off. A navigator is DEGRADED when
-    an aid is missing for longer than its ``timeout_s``: 0 means that it is not counted on; by default an
-    aid that a device of the navigator provides is.
+    The ``floor`` keys are the least sigmas that a fix is believed to have. The velocity of a fix is that of
+    ``gnss_velocity_age_ms`` before it: half the interval that a receiver averages or differences over.
+
+    A ``zero_velocity_sigma_m_s`` of 0 switches zero-velocity updates off, a ``zero_rate_sigma_deg_per_s``
+    of 0 those of the gyro biases at rest. Without an odometer an IMU rests that shakes less than
+    ``rest_gyro_deg_per_s`` and ``rest_accel_m_s2`` (standard deviations of the vectors): by default what an
+    alignment in motion saw, axis by axis, while the vehicle stood, or else 0.6 deg/s and 0.15 m/s^2.
+
+    A navigator is DEGRADED when an aid is missing for longer than its ``timeout_s``: 0 means that it is not
+    counted on; by default an aid that a device of the navigator provides is.
     """
 
     devices: Annotated[list[str], Meta(min_length=1)]
@@ -136,6 +147,9 @@ class NavigatorOptions(Table):
     output_point_m: Three = (0.0, 0.0, 0.0)
     gnss_correlated_m: tuple[NotNegative, NotNegative] = (0.0, 0.0)
     gnss_correlation_s: Positive = 120.0
+    gnss_position_floor_m: Positive = 0.005
+    gnss_velocity_floor_m_s: Positive = 0.005
+    gnss_velocity_age_ms: NotNegative = 0.0
     gnss_timeout_s: NotNegative = 5.0
     odometer_timeout_s: NotNegative = 5.0
     barometer_timeout_s: NotNegative = 10.0
@@ -145,8 +159,9 @@ class NavigatorOptions(Table):
     non_holonomic: bool = True
     non_holonomic_sigma_m_s: Positive = 0.1
     zero_velocity_sigma_m_s: NotNegative = 0.01
-    rest_gyro_deg_per_s: Positive = 0.6
-    rest_accel_m_s2: Positive = 0.15
+    zero_rate_sigma_deg_per_s: NotNegative = 0.0
+    rest_gyro_deg_per_s: Positive | None = None
+    rest_accel_m_s2: Positive | None = None
     gap_limit_s: Positive = 3.0
     imu_errors: ImuErrors = field(default_factory=ImuErrors)
     align: AlignOptions = field(default_factory=AlignOptions)
