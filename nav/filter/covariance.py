@@ -6,6 +6,8 @@ grows on the diagonal.
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,12 @@ from nav.strapdown.kernels import M_C, M_EN, M_F, M_G, M_IE, M_K, M_V
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+
+WIDTH: Final = 32
+"""Length of a row of scratch: a multiple of what a processor takes at once, ALL or more."""
+OUT: Final = 15 * WIDTH
+"""Where the results begin in scratch, behind the rows of navigation and sensor errors."""
+PREDICT_SIZE: Final = OUT + 9 * WIDTH + 81
 
 
 def predict_readable(P: Matrix, F: Matrix, q: Vector, dt: float) -> Matrix:
@@ -28,16 +36,13 @@ def predict_readable(P: Matrix, F: Matrix, q: Vector, dt: float) -> Matrix:
 
 @kernel
 def _nav_block(A: Matrix, mid: Vector, dt: float) -> None:
-    """Fill A (9, 9) with F dt of position, velocity and phi; see `nav.errors.model`."""
+    """Put F dt of position, velocity and phi into A (9, 9), but for its zeros; see `nav.errors.model`."""
     kxx, kxy, kyy = mid[M_K] * dt, mid[M_K + 1] * dt, mid[M_K + 2] * dt
     mean = 0.5 * (kxx + kyy)
     ix, iy, iz = mid[M_IE], mid[M_IE + 1], mid[M_IE + 2]
     tx, ty, tz = mid[M_EN], mid[M_EN + 1], mid[M_EN + 2]
     vx, vy, vz = mid[M_V], mid[M_V + 1], mid[M_V + 2]
     fx, fy, fz = mid[M_F] * dt, mid[M_F + 1] * dt, mid[M_F + 2] * dt
-    for i in range(9):
-        for j in range(9):
-            A[i, j] = 0.0
     A[0, 0] = mean * vz
     A[0, 2] = -mean * vx
     A[1, 1] = mean * vz
@@ -80,6 +85,69 @@ def _nav_block(A: Matrix, mid: Vector, dt: float) -> None:
 
 
 @kernel
+def _carry(w: Vector, A: Matrix, mid: Vector, dt: float, columns: int) -> None:
+    """Rows from OUT of ``w`` become the first nine of Phi times the rows at its head, over ``columns``.
+
+    The elements of Phi that are always zero are left out. Everything a column needs is one expression over
+    rows of equal length, so that the compiler takes several columns at once.
+    """
+    a00, a02, a11, a12 = A[0, 0], A[0, 2], A[1, 1], A[1, 2]
+    a30, a31, a32, a33, a34, a35 = A[3, 0], A[3, 1], A[3, 2], A[3, 3], A[3, 4], A[3, 5]
+    a40, a41, a42, a43, a44, a45 = A[4, 0], A[4, 1], A[4, 2], A[4, 3], A[4, 4], A[4, 5]
+    a50, a51, a52, a53, a54 = A[5, 0], A[5, 1], A[5, 2], A[5, 3], A[5, 4]
+    a37, a38, a46, a48, a56, a57 = A[3, 7], A[3, 8], A[4, 6], A[4, 8], A[5, 6], A[5, 7]
+    a60, a61, a62, a63, a64, a67, a68 = A[6, 0], A[6, 1], A[6, 2], A[6, 3], A[6, 4], A[6, 7], A[6, 8]
+    a70, a71, a72, a73, a74, a76, a78 = A[7, 0], A[7, 1], A[7, 2], A[7, 3], A[7, 4], A[7, 6], A[7, 8]
+    a80, a81, a82, a86, a87 = A[8, 0], A[8, 1], A[8, 2], A[8, 6], A[8, 7]
+    c00, c01, c02 = mid[M_C] * dt, mid[M_C + 1] * dt, mid[M_C + 2] * dt
+    c10, c11, c12 = mid[M_C + 3] * dt, mid[M_C + 4] * dt, mid[M_C + 5] * dt
+    c20, c21, c22 = mid[M_C + 6] * dt, mid[M_C + 7] * dt, mid[M_C + 8] * dt
+    for c in range(columns):
+        x, y, z = w[c], w[WIDTH + c], w[2 * WIDTH + c]
+        u, v, s = w[3 * WIDTH + c], w[4 * WIDTH + c], w[5 * WIDTH + c]
+        e, n, h = w[6 * WIDTH + c], w[7 * WIDTH + c], w[8 * WIDTH + c]
+        g0, g1, g2 = w[9 * WIDTH + c], w[10 * WIDTH + c], w[11 * WIDTH + c]
+        f0, f1, f2 = w[12 * WIDTH + c], w[13 * WIDTH + c], w[14 * WIDTH + c]
+        o = OUT + c
+        w[o] = x + (a00 * x + a02 * z + dt * u)
+        w[o + WIDTH] = y + (a11 * y + a12 * z + dt * v)
+        w[o + 2 * WIDTH] = z + dt * s
+        w[o + 3 * WIDTH] = u + (
+            (a30 * x + a31 * y + a32 * z)
+            + (a33 * u + a34 * v + a35 * s)
+            + (a37 * n + a38 * h)
+            - (c00 * f0 + c01 * f1 + c02 * f2)
+        )
+        w[o + 4 * WIDTH] = v + (
+            (a40 * x + a41 * y + a42 * z)
+            + (a43 * u + a44 * v + a45 * s)
+            + (a46 * e + a48 * h)
+            - (c10 * f0 + c11 * f1 + c12 * f2)
+        )
+        w[o + 5 * WIDTH] = s + (
+            (a50 * x + a51 * y + a52 * z)
+            + (a53 * u + a54 * v)
+            + (a56 * e + a57 * n)
+            - (c20 * f0 + c21 * f1 + c22 * f2)
+        )
+        w[o + 6 * WIDTH] = e + (
+            (a60 * x + a61 * y + a62 * z)
+            + (a63 * u + a64 * v)
+            + (a67 * n + a68 * h)
+            + (c00 * g0 + c01 * g1 + c02 * g2)
+        )
+        w[o + 7 * WIDTH] = n + (
+            (a70 * x + a71 * y + a72 * z)
+            + (a73 * u + a74 * v)
+            + (a76 * e + a78 * h)
+            + (c10 * g0 + c11 * g1 + c12 * g2)
+        )
+        w[o + 8 * WIDTH] = h + (
+            (a80 * x + a81 * y + a82 * z) + (a86 * e + a87 * n) + (c20 * g0 + c21 * g1 + c22 * g2)
+        )
+
+
+@kernel
 def predict(
     P: Matrix,
     mid: Vector,
@@ -97,56 +165,48 @@ def predict(
     ``mid`` is the strapdown kernel's record of the interval, ``w_b`` and ``f_b`` (3,) the corrected rate
     and specific force, ``par`` holds noise densities (from place P_Q). ``factor``
     multiplies the noise of velocity and phi, ``extra_v`` and ``extra_phi`` are added to it ((m/s)^2/s and
-    rad^2/s). ``work`` (18, ALL) is scratch. Twin of `predict_readable`.
+    rad^2/s). ``work`` is scratch of PREDICT_SIZE numbers or more. Twin of `predict_readable`.
     """
     n = P.shape[0]
-    # the transpose is what both products below walk along
-    B = work[9:18]
-    _nav_block(B[:, 0:9].T, mid, dt)
-    # Y = (I + A) P, rows of the nine, all columns
-    for i in range(9):
+    w = work.reshape(work.size)
+    A = w[OUT + 9 * WIDTH : PREDICT_SIZE].reshape(9, 9)
+    _nav_block(A, mid, dt)
+    # Phi P
+    for i in range(15):
         for c in range(n):
-            work[i, c] = P[i, c]
-        for k in range(9):
-            a = B[k, i]
-            if a != 0.0:
-                for c in range(n):
-                    work[i, c] += a * P[k, c]
-    for i in range(3):
+            w[WIDTH * i + c] = P[i, c]
+    if n > 19:
+        # a scale error acts as a bias of its size at this rate or force
         for k in range(3):
-            a = mid[M_C + 3 * i + k] * dt
+            rate, force = w_b[k], f_b[k]
+            g, f = WIDTH * (9 + k), WIDTH * (12 + k)
             for c in range(n):
-                work[6 + i, c] += a * P[9 + k, c]
-                work[3 + i, c] -= a * P[12 + k, c]
-            if n > 19:
-                s = a * w_b[k]
-                u = a * f_b[k]
-                for c in range(n):
-                    work[6 + i, c] += s * P[19 + k, c]
-                    work[3 + i, c] -= u * P[22 + k, c]
-    # the nine by nine corner: Y (I + A)' and Y's own columns of the sensor states
-    for i in range(9):
-        for j in range(9):
-            P[i, j] = work[i, j]
-        for k in range(9):
-            a = work[i, k]
-            for j in range(9):
-                P[i, j] += a * B[k, j]
-        for k in range(3):
-            a, u = work[i, 9 + k] * dt, work[i, 12 + k] * dt
-            if n > 19:
-                a += work[i, 19 + k] * w_b[k] * dt
-                u += work[i, 22 + k] * f_b[k] * dt
-            for j in range(3):
-                P[i, 6 + j] += a * mid[M_C + 3 * j + k]
-                P[i, 3 + j] -= u * mid[M_C + 3 * j + k]
-    for i in range(9):
-        for j in range(i):
-            P[i, j] = P[j, i]
+                w[g + c] += rate * P[19 + k, c]
+                w[f + c] += force * P[22 + k, c]
+    _carry(w, A, mid, dt, (n + 7) // 8 * 8)
     for c in range(9, n):
         for i in range(9):
-            P[i, c] = work[i, c]
-            P[c, i] = work[i, c]
+            value = w[OUT + WIDTH * i + c]
+            P[i, c] = value
+            P[c, i] = value
+    # (Phi P) Phi' in the corner: Phi once more, to the transpose
+    for i in range(9):
+        for k in range(15):
+            w[WIDTH * k + i] = w[OUT + WIDTH * i + k]
+    if n > 19:
+        for i in range(9):
+            o = OUT + WIDTH * i
+            for k in range(3):
+                w[WIDTH * (9 + k) + i] += w_b[k] * w[o + 19 + k]
+                w[WIDTH * (12 + k) + i] += f_b[k] * w[o + 22 + k]
+    _carry(w, A, mid, dt, 16)
+    for i in range(9):
+        for j in range(i + 1):
+            value = w[OUT + WIDTH * i + j]
+            P[i, j] = value
+            P[j, i] = value
+
+    for c in range(9, n):
         P[c, c] += par[P_Q + c] * dt
     if n > 25:
         keep = 1.0 - par[P_GNSS] * dt

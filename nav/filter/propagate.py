@@ -51,8 +51,8 @@ ROW_SIZE: Final = 15
 
 REST_SIZE: Final = 14
 
-WORK_ROWS: Final = 20
-"""Rows of the scratch matrix (WORK_ROWS, ALL) that the kernels share."""
+WORK_ROWS: Final = 54
+"""Rows of the scratch matrix (WORK_ROWS, ALL) that the kernels share; those from 20 on are `predict`'s."""
 
 
 @kernel
@@ -138,7 +138,9 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Matrix, row: Vector) -> N
     # of angle about its axis with a turn
     a2 = x[X_A] * x[X_A] + x[X_A + 1] * x[X_A + 1] + x[X_A + 2] * x[X_A + 2]
     extra_v += par[P_PUSH] * np.sqrt(a2)
-    predict(P, mid, x[X_W : X_W + 3], x[X_F : X_F + 3], dt, par, row[ROW_NOISE], extra_v, extra_phi, work)
+    predict(
+        P, mid, x[X_W : X_W + 3], x[X_F : X_F + 3], dt, par, row[ROW_NOISE], extra_v, extra_phi, work[20:]
+    )
     if row[ROW_GAP] == 0.0 and (par[P_VIB_G] > 0.0 or par[P_VIB_A] > 0.0):
         _add_vibration(P, mid, par[P_VIB_G], par[P_VIB_A], row)
     w = np.sqrt(wx * wx + wy * wy + wz * wz)
