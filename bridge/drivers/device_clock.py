@@ -10,6 +10,10 @@ clock skew from network delay measurements").
 Of every stretch of device time only the least delayed point is kept. Stretches begin short and double
 when there are too many, so the window grows from the first instants to about a minute while work and
 memory stay bounded.
+
+A count far from the line is one of two things. Where counts go on from the last one the device is well and
+its frames are late, because a host or a link is overloaded: they are dated by the line, which they do not
+touch. Where counts go back or jump ahead the device began anew, and so does the line.
 """
 
 from __future__ import annotations
@@ -27,11 +31,9 @@ SLOPE_AFTER: Final = 8  # points, and
 SLOPE_SPAN: Final = 1e9  # ns: with less the jitter of two points makes a worse slope than none
 MAX_DRIFT: Final = 0.02  # beyond the worst uncalibrated oscillator
 EARLY: Final = 20e6  # ns before the line: no jitter does that, the counter has jumped ahead
-LATE: Final = 250e6  # ns after the line: either a very late frame or a counter that restarted
-LATE_ABSOLUTE: Final = (
-    30e9  # ns, of a counter that never wraps: GPS time does not restart, its link may stall
-)
+LATE: Final = 250e6  # ns after the line: says nothing about the line any more
 SETTLED: Final = 100_000_000  # ns of arrivals that must agree on a new offset before it is believed
+STOOD: Final = 30_000_000_000  # ns likewise, where counts go on as if nothing had been: a stall ends
 AGREE: Final = 20e6  # ns within which they must agree; frames of a late burst do not, they catch up
 
 _NEVER: Final = -(2**62)
@@ -102,9 +104,15 @@ class DeviceClock:
         self._low_x = x
         self._low_d = d
 
-    def axis(self, counter_ns: int, arrival_ns: int, modulus_ns: int | None) -> int | None:
-        """Place a counter on the axis, nearest to where the line expects it; None where it cannot be
-        told."""
+    def axis(
+        self, counter_ns: int, arrival_ns: int, modulus_ns: int | None, since: tuple[int, int]
+    ) -> int | None:
+        """Place a counter on the axis; None where it cannot be told.
+
+        ``since`` is the place of the port's last good count and its arrival. If that was less than half a
+        wrap ago the count is the next one after it, however late; otherwise the latest that the line
+        allows. An eighth of a wrap is left for a count that goes back, or arrives before the line.
+        """
         widest = self._widest
         if widest == 0:
             self.seed(counter_ns, arrival_ns, modulus_ns)
@@ -123,8 +131,10 @@ class DeviceClock:
         place = counter_ns - self._shift
         if modulus_ns is None:
             return place
-        half = modulus_ns >> 1
-        return expected + (place - expected + half) % modulus_ns - half
+        back = modulus_ns >> 3
+        if arrival_ns - since[1] < modulus_ns >> 1:
+            return since[0] - back + (place - since[0] + back) % modulus_ns
+        return expected + back - (expected + back - place) % modulus_ns
 
     def defined_by(self, modulus_ns: int | None) -> bool:
         """Whether a counter of this width is the widest: the one that says what device time is."""
@@ -138,13 +148,13 @@ class DeviceClock:
         """Engine time at a place on the axis."""
         return axis_ns + self._base + round(self._height + self._slope * axis_ns)
 
-    def explain(self, axis_ns: int, arrival_ns: int, late: float) -> int | None:
-        """Take a point into the line; its engine time, or None where too early or beyond ``late`` (ns)."""
+    def explain(self, axis_ns: int, arrival_ns: int) -> int | None:
+        """Take a point into the line; its engine time, or None where it is too far from the line."""
         slope, height = self._slope, self._height
         delay = arrival_ns - axis_ns - self._base
         x = float(axis_ns)
         above = delay - slope * x
-        if not -EARLY < above - height < late:
+        if not -EARLY < above - height < LATE:
             return None
         if above < height:  # no frame arrives before it is sent: the line was too high
             self._height = height = above
@@ -208,9 +218,9 @@ class ClockPort:
 
     __slots__ = (
         "_clock",
+        "_good_arrival",
         "_good_axis",
         "_last_axis",
-        "_late",
         "_latency",
         "_modulus",
         "_odd",
@@ -225,11 +235,11 @@ class ClockPort:
         self._clock = clock
         self._modulus = modulus_ns
         self._latency = latency_ns
-        self._late = LATE_ABSOLUTE if modulus_ns is None else LATE
         self._out = _NEVER
         self._resets = 0
         self._last_axis: int | None = None
-        self._good_axis = _NEVER  # of the last count that the line could explain
+        self._good_axis = _NEVER  # of the last count that the line could explain, or that was late only
+        self._good_arrival = _NEVER
         self._odd = False
         self._odd_since = 0
         self._odd_residual = 0.0
@@ -240,23 +250,24 @@ class ClockPort:
         """Engine time (ns) at which the device read ``counter_ns``; later than any before."""
         clock = self._clock
         arrival = rx_ns - self._latency
-        axis = clock.axis(counter_ns, arrival, self._modulus)
+        if self._resets != clock.resets:  # by another counter on this clock
+            self._resets = clock.resets
+            self._last_axis = None
+            self._good_axis = self._good_arrival = _NEVER
+        axis = clock.axis(counter_ns, arrival, self._modulus, (self._good_axis, self._good_arrival))
         if axis is None:
             self.elapsed_ns = self._last_axis = None
             out = arrival
         else:
-            if self._resets != clock.resets:  # by another counter on this clock
-                self._resets = clock.resets
-                self._last_axis = None
-                self._good_axis = _NEVER
             last = self._last_axis
             self.elapsed_ns = None if last is None else axis - last
-            explained = clock.explain(axis, arrival, self._late)
+            explained = clock.explain(axis, arrival)
             if explained is not None:
                 self._odd = False
                 out = explained
                 if axis > self._good_axis:  # a frame that was overtaken does not set the clock back
                     self._last_axis = self._good_axis = axis
+                    self._good_arrival = arrival
             else:
                 out = self._outlier(axis, counter_ns, arrival)
         if out <= self._out:
@@ -267,18 +278,23 @@ class ClockPort:
     def _outlier(self, axis: int, counter_ns: int, arrival: int) -> int:
         clock = self._clock
         residual = clock.residual(axis, arrival)
+        goes_on = residual > 0.0 and axis > self._good_axis
+        patience = STOOD if goes_on else SETTLED
         self._last_axis = axis
         if not self._odd or abs(residual - self._odd_residual) > AGREE:
             self._odd = True
             self._odd_since = arrival
             self._odd_residual = residual
-        elif arrival - self._odd_since >= SETTLED and clock.defined_by(self._modulus):
+        elif arrival - self._odd_since >= patience and clock.defined_by(self._modulus):
             self._odd = False
             clock.resets += 1
             self._resets = clock.resets
             clock.seed(counter_ns, arrival, self._modulus)
             self._last_axis = self._good_axis = counter_ns
+            self._good_arrival = arrival
             return arrival
-        if residual > 0.0 and axis > self._good_axis:
-            return clock.time(axis)  # a late frame of a clock that goes on
+        if goes_on:
+            self._good_axis = axis
+            self._good_arrival = arrival
+            return clock.time(axis)
         return arrival

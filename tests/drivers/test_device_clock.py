@@ -124,6 +124,49 @@ def test_a_burst_after_a_stall_keeps_the_devices_times() -> None:
     assert clock.resets == 0
 
 
+@pytest.mark.parametrize("rate_hz", [200, 20, 5])
+@pytest.mark.parametrize("modulus", [None, U32_US, U16_100US])
+@pytest.mark.parametrize("worst_s", [0.6, 3.0, 9.0])
+def test_a_host_that_falls_behind_does_not_move_the_devices_time(
+    modulus: int | None, rate_hz: int, worst_s: float
+) -> None:
+    """Half as fast as it should be, then 20 s behind by a constant, then caught up in a burst, twice.
+
+    Longer than a wrap of the narrow counter, too. The ticks of 100 us come on top of the jitter, of which
+    the least of the frames before counts.
+    """
+    clock = DeviceClock()
+    port = clock.port(modulus, 0)
+    rng = np.random.default_rng(4)
+    worst: list[float] = []
+    for k in range(120 * rate_hz):
+        since = k / rate_hz
+        phase = since % 60.0
+        behind = 0.0
+        if phase > 20.0:
+            behind = min((phase - 20.0) / 2.0, worst_s)
+            behind = max(0.0, min(behind, worst_s - 20.0 * (phase - 50.0)))
+        true = START + round(since * S)
+        count = (10**18 + round(since * S)) // (100 * US) * 100 * US
+        rx = true + round(behind * S + rng.exponential(0.3 * MS))
+        worst.append(abs(port.stamp(count % modulus if modulus else count, rx) - true))
+    assert clock.resets == 0
+    # what is late by less than a quarter of a second bends the line: a few milliseconds for as long as it is
+    assert max(worst[20 * rate_hz :]) < 8 * MS
+    assert np.median(worst[20 * rate_hz :]) < 0.4 * MS
+
+
+def test_a_counter_that_stood_is_found_out() -> None:
+    """One that was stopped for 2 s and goes on looks like a link that is late; links are not for ever."""
+    clock = DeviceClock()
+    port = clock.port(U32_US, 0)
+    for k in range(200 * 60):
+        true = START + k * 5 * MS + (2 * S if k >= 1000 else 0)
+        out = port.stamp(k * 5 * MS, true + 100 * US)
+    assert clock.resets == 1
+    assert abs(out - true) < 150 * US
+
+
 def test_a_link_that_falls_behind_does_not_move_gps_time() -> None:
     """Ten seconds of fixes, each 2 s late: they are dated at their own time, to a millisecond."""
     clock = DeviceClock()
