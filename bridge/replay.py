@@ -76,8 +76,8 @@ class Report:
 
     ``recorded`` is the final digest of the recording (None: it was cut off), ``verified`` counts the
     checkpoints that agree. ``breaks_ns`` is the time at which frames are first marked as not recorded; what
-    closes behind that mark cannot agree. ``failed`` is the first checkpoint before it that does not. ``machine`` names what differs
-    between the recording machine and this one.
+    closes behind that mark cannot agree. ``failed`` is the first checkpoint before it that does not.
+    ``machine`` names what differs between the recording machine and this one.
     """
 
     digest: str
