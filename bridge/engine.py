@@ -36,6 +36,7 @@ from bridge.outputs import (
     Text,
     Transmit,
 )
+from bridge.silence import Silence
 from bridge.warm import warm_up
 from dbc.codec import contract
 from nav import events
@@ -92,6 +93,7 @@ class Engine:
     def __init__(self, config: Config, *, warm: bool = True) -> None:
         self._now = 0
         self._next_health: int | None = None
+        self._silence: Silence | None = None
         self._quiet_until: dict[str, int] = {}
         self._unknown = 0
         self._dropped = 0
@@ -219,10 +221,11 @@ class Engine:
     def _second(self, out: list[Output]) -> None:
         """What happens at the first frame, and then at the first of every second."""
         now = self._now
-        first = self._next_health is None
         self._next_health = (now // SECOND_NS + 1) * SECOND_NS
         devices = {name: driver.counters.health(now) for name, driver in self._drivers.items()}
-        if first:
+        if self._silence is None:
+            counters = {name: driver.counters for name, driver in self._drivers.items()}
+            self._silence = Silence(counters, now)
             for line in self._waiting:
                 self._take_all(line, line.navigator.start(now), out)
             return
@@ -232,6 +235,7 @@ class Engine:
             if notes:
                 out.extend(Text(now, Severity.WARNING, f"{name}: {note}") for note in notes)
                 notes.clear()
+        out.extend(Text(now, *text) for text in self._silence.second(now))
 
     # commands
 
