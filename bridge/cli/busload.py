@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from bridge import arguments
 from dbc.busload import BusLoad, as_document, default_table
 
 
@@ -24,19 +24,23 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "--imu-rate",
         metavar="HZ",
-        type=_rate,
+        type=arguments.rate,
         action="append",
         help="samples a second; may be repeated (default: 200 and 1000)",
     )
     parser.add_argument(
         "--solution-rate",
         metavar="HZ",
-        type=_rate,
+        type=arguments.rate,
         default=50.0,
         help="published solutions a second (default: 50)",
     )
     parser.add_argument(
-        "--bitrate", metavar="BIT_S", type=_bitrate, default=1_000_000, help="bit rate (default: 1000000)"
+        "--bitrate",
+        metavar="BIT_S",
+        type=arguments.whole(1),
+        default=1_000_000,
+        help="bit rate (default: 1000000)",
     )
     parser.add_argument(
         "--fd", action="store_true", help="the IMU sends its CAN FD frame instead of three classic ones"
@@ -44,7 +48,7 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "--data-bitrate",
         metavar="BIT_S",
-        type=_bitrate,
+        type=arguments.whole(1),
         help="bit rate of the CAN FD data phase (default: --bitrate)",
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
@@ -98,17 +102,3 @@ def _verdict(load: BusLoad) -> str:
     if load.load_plain <= 1.0:
         return "does not fit in the worst case of stuffing: lower a rate, or use CAN FD\n"
     return "does not fit: lower a rate, or use CAN FD\n"
-
-
-def _rate(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text}: expected a number above 0")
-    return value
-
-
-def _bitrate(text: str) -> int:
-    value = int(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text}: expected bit/s, as 500000")
-    return value

@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+from bridge import arguments
+
 _RUNS: Final = 100
 
 
@@ -34,7 +36,7 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         "--scenario", default="drive", help="a packaged scenario or a TOML file (default: drive)"
     )
     moving.add_argument(
-        "--seconds", metavar="N", type=_positive, help="cut or extend the scenario to N seconds"
+        "--seconds", metavar="N", type=arguments.seconds, help="cut or extend the scenario to N seconds"
     )
     moving.add_argument("--out", metavar="FILE.png", help="draw errors, sigmas and NEES over time")
     still = kinds.add_parser(
@@ -51,10 +53,16 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--runs", metavar="N", type=_count, default=_RUNS, help="default: 100")
-    parser.add_argument("--seed-base", metavar="N", type=_seed, default=0, help="first seed (default: 0)")
+    parser.add_argument("--runs", metavar="N", type=arguments.whole(1), default=_RUNS, help="default: 100")
     parser.add_argument(
-        "--jobs", metavar="N", type=_count, default=os.cpu_count() or 1, help="processes (default: all CPUs)"
+        "--seed-base", metavar="N", type=arguments.whole(0), default=0, help="first seed (default: 0)"
+    )
+    parser.add_argument(
+        "--jobs",
+        metavar="N",
+        type=arguments.whole(1),
+        default=os.cpu_count() or 1,
+        help="processes (default: all CPUs)",
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
@@ -93,31 +101,3 @@ def _print(args: argparse.Namespace, lines: list[str], document: dict[str, Any])
 
 def _progress(done: int, runs: int) -> None:
     print(f"\r{done} of {runs} runs", end="\n" if done == runs else "", file=sys.stderr, flush=True)
-
-
-def _count(text: str) -> int:
-    return _whole(text, 1)
-
-
-def _seed(text: str) -> int:
-    return _whole(text, 0)
-
-
-def _whole(text: str, least: int) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = least - 1
-    if value < least:
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected a whole number, {least} or more")
-    return value
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected a number above zero")
-    return value

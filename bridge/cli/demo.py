@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import can
 
+from bridge import arguments
 from bridge.assemble import Bridge
-from bridge.cli.sim import _positive, _seed, _speed
 from bridge.clock import SimulatedClock
 from bridge.config import Config
 from bridge.errors import ConfigError
@@ -53,16 +53,22 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         help="name of a packaged scenario, or a TOML file (default: drive)",
     )
     parser.add_argument(
-        "--seconds", metavar="N", type=_positive, help="cut or extend the scenario to N seconds"
+        "--seconds", metavar="N", type=arguments.seconds, help="cut or extend the scenario to N seconds"
     )
     parser.add_argument(
         "--speed",
         metavar="max|X",
-        type=_speed,
+        type=arguments.speed,
         default=1.0,
         help="X times real time, or as fast as the machine can (default: 1)",
     )
-    parser.add_argument("--seed", type=_seed, default=1, help="draws every sensor's errors (default: 1)")
+    parser.add_argument(
+        "--seed",
+        metavar="N",
+        type=arguments.whole(0),
+        default=1,
+        help="draws every sensor's errors (default: 1)",
+    )
     parser.add_argument(
         "--out",
         metavar="FILE.mcap",

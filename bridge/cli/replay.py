@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from bridge import arguments
 from bridge.errors import ReplayMismatch
 
 
@@ -21,7 +22,9 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
     )
     parser.add_argument("capture", metavar="CAPTURE", help="capture file (.mcap)")
     parser.add_argument("--config", metavar="CONFIG", help="another configuration than the capture's own")
-    parser.add_argument("--golden", metavar="HEX", help="digest that the replay must give")
+    parser.add_argument(
+        "--golden", metavar="HEX", type=arguments.digest, help="digest that the replay must give"
+    )
     parser.add_argument("--csv", metavar="FILE", help="write every solution as a table")
     return parser
 
@@ -53,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
         print(f"checkpoints: {report.verified} of {report.checkpoints} agree")
     print(f"solution sha256: {report.digest}")
     if args.golden:
-        if args.golden.lower() != report.digest:
-            raise ReplayMismatch(f"the solution differs: expected {args.golden.lower()}, got {report.digest}")
+        if args.golden != report.digest:
+            raise ReplayMismatch(f"the solution differs: expected {args.golden}, got {report.digest}")
         return 0
     if args.config:
         print(report.deviation)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from typing import Any
+
+from bridge import arguments
 
 
 def add_parser(subparsers: Any) -> argparse.ArgumentParser:
@@ -18,11 +19,14 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
     )
     parser.add_argument("config", metavar="CONFIG", help="a packaged configuration or a TOML file")
     parser.add_argument("--out", metavar="FILE.mcap", help="record a capture")
-    parser.add_argument("--seconds", metavar="N", type=_positive, help="stop after N seconds")
+    parser.add_argument("--seconds", metavar="N", type=arguments.seconds, help="stop after N seconds")
     parser.add_argument(
-        "--realtime-priority", metavar="1..99", type=_priority, help="run as SCHED_FIFO with this priority"
+        "--realtime-priority",
+        metavar="1..99",
+        type=arguments.whole(1, 99),
+        help="run as SCHED_FIFO with this priority",
     )
-    parser.add_argument("--cpu", metavar="N", type=int, help="stay on processor N")
+    parser.add_argument("--cpu", metavar="N", type=arguments.whole(0), help="stay on processor N")
     parser.add_argument("--lock-memory", action="store_true", help="keep all memory from being paged out")
     return parser
 
@@ -44,17 +48,3 @@ def run(args: argparse.Namespace) -> int:
     for line in outcome_lines(outcome, unrecorded):
         print(line)
     return 0
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not (math.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"{text} is not a number above zero")
-    return value
-
-
-def _priority(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 99:
-        raise argparse.ArgumentTypeError(f"{text} is not from 1 to 99")
-    return value

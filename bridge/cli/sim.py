@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 import can
 
+from bridge import arguments
 from bridge.errors import ConfigError, SourceError
 from virtual_bus import scenario
 from virtual_bus.bus import Bench, Sent
@@ -34,14 +35,20 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         "--interface", default="socketcan", help="a python-can interface (default: socketcan)"
     )
     parser.add_argument("--channel", default="vcan0", help="its channel (default: vcan0)")
-    parser.add_argument("--seed", type=_seed, default=1, help="draws every sensor's errors (default: 1)")
     parser.add_argument(
-        "--seconds", metavar="N", type=_positive, help="cut or extend the scenario to N seconds"
+        "--seed",
+        metavar="N",
+        type=arguments.whole(0),
+        default=1,
+        help="draws every sensor's errors (default: 1)",
+    )
+    parser.add_argument(
+        "--seconds", metavar="N", type=arguments.seconds, help="cut or extend the scenario to N seconds"
     )
     parser.add_argument(
         "--speed",
         metavar="max|X",
-        type=_speed,
+        type=arguments.speed,
         default=1.0,
         help="X times real time, or as fast as the bus takes it (default: 1)",
     )
@@ -137,26 +144,3 @@ def _write_files(bench: Bench, folder: Path, interface: str, channel: str) -> No
 
 def _terminate(_number: int, _frame: object) -> NoReturn:
     raise KeyboardInterrupt
-
-
-def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text}: expected 0 or more")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text}: expected a number of seconds above 0")
-    return value
-
-
-def _speed(text: str) -> float:
-    if text == "max":
-        return math.inf
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text}: expected max or a number above 0")
-    return value

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import heapq
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
+from bridge import arguments
 from bridge.calibration import read_calibration
 from bridge.config import Config
 from bridge.drivers.baro_can import BaroCanOptions
@@ -252,7 +254,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--gnss-every",
         metavar="N",
-        type=_positive,
+        type=arguments.whole(1),
         default=1,
         help="keep only every N-th GNSS fix (default: all)",
     )
@@ -274,18 +276,11 @@ def run(args: argparse.Namespace) -> Imported:
     )
 
 
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text}: expected 1 or more")
-    return value
-
-
 def _outage(text: str) -> tuple[float, float]:
     try:
         start, length = (float(part) for part in text.split(","))
     except ValueError:
         raise argparse.ArgumentTypeError(f'"{text}": expected START,LENGTH in seconds, as 85,15') from None
-    if length <= 0.0:
+    if not (math.isfinite(start) and 0.0 < length < math.inf):
         raise argparse.ArgumentTypeError(f'"{text}": expected a LENGTH above 0')
     return start, length

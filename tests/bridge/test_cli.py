@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -31,13 +30,6 @@ def test_help_loads_nothing_heavy() -> None:
     code += "print([name for name in ('numpy', 'numba', 'can', 'pymavlink', 'mcap') if name in sys.modules])"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.splitlines()[-1] == "[]"
-
-
-def test_help_is_fast() -> None:
-    started = time.perf_counter()
-    assert navbridge("--help").returncode == 0
-    # the interpreter alone takes 20 to 50 ms; a loaded machine ten times that
-    assert time.perf_counter() - started < 1.0
 
 
 def test_no_command_is_a_wrong_command_line(capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,13 +91,29 @@ def test_an_interrupt_has_its_own_status(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [["run", "bench", "--seconds", "0"], ["run", "bench", "--realtime-priority", "100"], ["run"]],
+    ("arguments", "expected"),
+    [
+        (["run"], "required: CONFIG"),
+        (["run", "bench", "--seconds", "0"], 'found "0", expected a number of seconds above 0'),
+        (["demo", "--seconds", "-1"], 'found "-1", expected a number of seconds above 0'),
+        (["demo", "--seconds", "nan"], 'found "nan", expected a number of seconds above 0'),
+        (["sim", "drive", "--seconds", "soon"], 'found "soon", expected a number of seconds above 0'),
+        (["demo", "--speed", "0"], 'found "0", expected max or a number above 0'),
+        (["demo", "--speed", "fast"], 'found "fast", expected max or a number above 0'),
+        (["demo", "--seed", "-1"], 'found "-1", expected a whole number, 0 or more'),
+        (["run", "bench", "--realtime-priority", "100"], "expected a whole number, from 1 to 99"),
+        (["busload", "--imu-rate", "inf"], 'found "inf", expected a number above 0'),
+        (["replay", "a.mcap", "--golden", "beef"], "expected the 64 hexadecimal digits of a SHA-256"),
+        (["import", "csv", "m.toml", "--out", "o", "--gnss-outage", "nan,nan"], "expected a LENGTH above 0"),
+    ],
 )
-def test_wrong_arguments_have_status_two(arguments: list[str]) -> None:
+def test_wrong_arguments_have_status_two_and_say_what_was_expected(
+    arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
+    assert expected in capsys.readouterr().err
 
 
 def test_a_reader_that_goes_away_is_no_error() -> None:
