@@ -27,8 +27,6 @@ def whole(least: int, most: int | None = None) -> Callable[[str], int]:
     """A reader of whole numbers from ``least`` to ``most``."""
     limits = f"from {least} to {most}" if most is not None else f"{least} or more"
     expected = f"a whole number, {limits}"
-        f"a whole number from {least} to {most}" if most is not None else f"a whole number, {least} or more"
-    )
 
     def read(text: str) -> int:
         try:
