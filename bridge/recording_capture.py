@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Iterator
+from io import BytesIO
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import msgspec
-from mcap.exceptions import EndOfFile, InvalidMagic
-from mcap.records import Attachment, Channel, Chunk, Footer, Header, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, InvalidMagic, RecordLengthLimitExceeded
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Footer, Header, Metadata
+from mcap.stream_reader import get_chunk_data_stream
 
 from bridge.errors import CaptureError
 from bridge.frame import RawFrame
@@ -19,6 +23,19 @@ from bridge.outputs import Checkpoint
 from bridge.recording_format import DIGEST, FORMAT_VERSION, FRAMES, META, RESULT, TRUTH, unpack_frames
 
 _RECORD_LIMIT: Final = 1 << 30
+_MAGIC: Final = b"\x89MCAP0\r\n"
+_HEAD: Final = struct.Struct("<BQ")  # of every record: kind and length
+_CHANNEL_ID: Final = struct.Struct("<H")
+_MESSAGE_HEAD: Final = 22  # bytes of a message before its content: channel, sequence, two times
+
+Record = Header | Metadata | Attachment | Chunk | Footer
+_KINDS: Final[dict[int, type[Record]]] = {
+    Opcode.HEADER: Header,
+    Opcode.METADATA: Metadata,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.CHUNK: Chunk,
+    Opcode.FOOTER: Footer,
+}
 
 
 class Capture:
@@ -68,14 +85,11 @@ class Capture:
 
     def frames(self) -> Iterator[RawFrame]:
         """Every frame that can be read, in file order."""
-        return chain.from_iterable(unpack_frames(message.data) for message in self._messages(FRAMES))
+        return chain.from_iterable(map(unpack_frames, self._messages(FRAMES)))
 
     def checkpoints(self) -> list[Checkpoint]:
         """Digest checkpoints recorded while running, in order."""
-        return [
-            Checkpoint(item["t_ns"], item["navigator"], item["index"], item["sha256"])
-            for item in self.documents(DIGEST)
-        ]
+        return [checkpoint(item) for item in self.documents(DIGEST)]
 
     def truth(self) -> Iterator[dict[str, Any]]:
         """The simulator's truth, one dictionary per instant; empty for a real run."""
@@ -83,7 +97,7 @@ class Capture:
 
     def documents(self, topic: str) -> Iterator[dict[str, Any]]:
         """The JSON objects of one channel, in order."""
-        return (msgspec.json.decode(message.data) for message in self._messages(topic))
+        return map(msgspec.json.decode, self._messages(topic))
 
     def result(self) -> dict[str, str] | None:
         """What was written at the orderly end (final digest, counts), or None: the run was cut off."""
@@ -93,24 +107,19 @@ class Capture:
                 found = record.metadata
         return found
 
-    def _messages(self, topic: str) -> Iterator[Message]:
+    def _messages(self, topic: str) -> Iterator[bytes]:
         wanted: set[int] = set()
         for record in self._records():
             if not isinstance(record, Chunk):
                 continue
             try:
-                inside = breakup_chunk(record, validate_crc=True)
+                found = _inside(record, topic, wanted)
             except Exception as error:  # zstd, lz4 and struct each raise their own
                 self.damage = f"a chunk cannot be read ({error})"
                 return
-            for item in inside:
-                if isinstance(item, Message):
-                    if item.channel_id in wanted:
-                        yield item
-                elif isinstance(item, Channel) and item.topic == topic:
-                    wanted.add(item.id)
+            yield from found
 
-    def _records(self) -> Iterator[McapRecord]:
+    def _records(self) -> Iterator[Record]:
         """Top-level records up to the end or the first damage."""
         self.damage = None
         try:
@@ -118,8 +127,7 @@ class Capture:
         except OSError as error:
             raise CaptureError(f"{self.path}: cannot open the capture: {error.strerror}") from error
         with stream:
-            reader = StreamReader(stream, emit_chunks=True, record_size_limit=_RECORD_LIMIT)
-            records = reader.records
+            records = _read(stream)
             started = False
             while True:
                 try:
@@ -148,3 +156,62 @@ class Capture:
                     return
                 started = True
                 yield record
+
+
+def checkpoint(document: dict[str, Any]) -> Checkpoint:
+    """The checkpoint that a document of the digest channel holds."""
+    return Checkpoint(document["t_ns"], document["navigator"], document["index"], document["sha256"])
+
+
+def _read(stream: BinaryIO) -> Iterator[Record]:
+    """The top-level records that a capture is read by; schemas, indices and statistics are passed over."""
+    _require_magic(stream)
+    while True:
+        kind, length = _HEAD.unpack(_exactly(stream, _HEAD.size))
+        if length > _RECORD_LIMIT:
+            raise RecordLengthLimitExceeded(kind, length, _RECORD_LIMIT)
+        body = _exactly(stream, length)
+        if kind not in _KINDS:
+            continue
+        yield _KINDS[kind].read(ReadDataStream(BytesIO(body)))
+        if kind == Opcode.FOOTER:
+            _require_magic(stream)
+            return
+
+
+def _require_magic(stream: BinaryIO) -> None:
+    found = stream.read(len(_MAGIC))
+    if not found:
+        raise EndOfFile
+    if found != _MAGIC:
+        raise InvalidMagic(tuple(found))
+
+
+def _exactly(stream: BinaryIO, size: int) -> bytes:
+    data = stream.read(size)
+    if len(data) < size:
+        raise EndOfFile
+    return data
+
+
+def _inside(chunk: Chunk, topic: str, wanted: set[int]) -> list[bytes]:
+    """Contents of the messages of ``topic`` in a chunk; its channels are added to ``wanted``."""
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    data = stream.read(size)
+    found = []
+    at = 0
+    while at < size:
+        kind, length = _HEAD.unpack_from(data, at)
+        at += _HEAD.size
+        end = at + length
+        if end > size:
+            raise EndOfFile
+        if kind == Opcode.MESSAGE:
+            if _CHANNEL_ID.unpack_from(data, at)[0] in wanted:
+                found.append(data[at + _MESSAGE_HEAD : end])
+        elif kind == Opcode.CHANNEL:
+            channel = Channel.read(ReadDataStream(BytesIO(data[at:end])))
+            if channel.topic == topic:
+                wanted.add(channel.id)
+        at = end
+    return found

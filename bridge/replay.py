@@ -17,6 +17,7 @@ from bridge.digest import combine
 from bridge.frame import BRIDGE, Event, RawFrame
 from bridge.outputs import Checkpoint, Output, SolutionOut
 from bridge.recording import Capture
+from bridge.recording_capture import checkpoint
 from bridge.recording_format import DIGEST
 from bridge.recording_host import differences
 from nav.types import S, Solution
@@ -112,11 +113,12 @@ def replay(
 ) -> Report:
     """Feed every frame to ``engine`` and compare; ``watch`` is shown the outputs of every frame."""
     result = capture.result() or {}
-    expected = {(item.navigator, item.index): item for item in capture.checkpoints()}
+    links = list(capture.documents(DIGEST))
+    expected = {(link["navigator"], link["index"]): checkpoint(link) for link in links}
     kept = {
-        (item["navigator"], item["solution"]["t_ns"]): item["solution"]["state"]
-        for item in capture.documents(DIGEST)
-        if item.get("solution")
+        (link["navigator"], link["solution"]["t_ns"]): link["solution"]["state"]
+        for link in links
+        if link.get("solution")
     }
     deviation = Deviation()
     frames = verified = 0
