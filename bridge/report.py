@@ -7,6 +7,7 @@ from typing import TextIO
 
 from bridge.live import Outcome
 from bridge.outputs import ModeChange, Output, Text, Transmit
+from nav import jit
 
 
 class Printer:
@@ -24,6 +25,12 @@ class Printer:
             elif isinstance(output, Text):
                 print(f"{output.severity.name.lower()}: {output.text}", file=self._stream, flush=True)
         return []
+
+
+def explain_wait(stream: TextIO) -> None:
+    """Say why nothing will happen for a while, where kernels have to be compiled first."""
+    if jit.is_cold():
+        print("compiling, this once: about half a minute ...", file=stream, flush=True)
 
 
 def outcome_lines(outcome: Outcome, unrecorded: int) -> Iterator[str]:

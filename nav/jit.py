@@ -31,6 +31,11 @@ def _cache_folder() -> str:
 config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR") or _cache_folder()  # type: ignore[attr-defined]
 
 
+def is_cold() -> bool:
+    """Whether nothing is cached for these sources yet, so that the kernels will be compiled first."""
+    return next(Path(config.CACHE_DIR).rglob("*.nbi"), None) is None  # type: ignore[attr-defined]
+
+
 def kernel(function: F) -> F:
     """Compile ``function`` to machine code at its first call, IEEE arithmetic in source order.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +28,13 @@ def run(args: argparse.Namespace) -> int:
     """Decode and say what was written."""
     from bridge.decoded_view import write_view
     from bridge.recording import Capture
+    from bridge.report import explain_wait
 
     capture = Capture(args.capture)
     out = Path(args.out)
     if out.exists() and out.samefile(args.capture):
         raise CaptureError(f"{out}: is the capture itself; give another file with --out")
+    explain_wait(sys.stderr)
     counts = write_view(capture, out)
     for topic, count in sorted(counts.items()):
         print(f"{count:>9}  {topic}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any, Final
@@ -19,7 +20,7 @@ from bridge.evaluate import SolutionTable, TruthTable, errors, summary, table, t
 from bridge.live import Outcome
 from bridge.outputs import Output, SolutionOut, Transmit
 from bridge.recording import Recorder
-from bridge.report import outcome_lines
+from bridge.report import explain_wait, outcome_lines
 from bridge.view import ViewProcess, ViewSink
 from nav import rotation
 from virtual_bus import scenario
@@ -161,6 +162,7 @@ def run(args: argparse.Namespace) -> int:
         bench = Bench(args.scenario, seed=args.seed, seconds=args.seconds)
     except scenario.ScenarioError as error:
         raise ConfigError(str(error)) from error
+    explain_wait(sys.stderr)
     bench.prepare()
     mavlink_url = None if args.mavlink == "none" else args.mavlink
     files = bench.files("virtual", CHANNEL, mavlink_url)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
-from bridge.errors import CaptureError
+from bridge.errors import CaptureError, ConfigError
 
 
 def add_parser(subparsers: Any) -> argparse.ArgumentParser:
@@ -32,11 +33,15 @@ def run(args: argparse.Namespace) -> int:
     from bridge.plots import draw
     from bridge.plots.collect import collect
     from bridge.recording import Capture
+    from bridge.report import explain_wait
 
     capture = Capture(args.capture)
     config = Config.load(args.config) if args.config else Config.from_attachments(capture.attachments)
     folder = Path(args.out)
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"--out {folder}: is a file, expected a folder")
     folder.mkdir(parents=True, exist_ok=True)
+    explain_wait(sys.stderr)
     runs = collect(capture, config)
     count = 0
     for data in runs:

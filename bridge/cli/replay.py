@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import Any
 
 from bridge import arguments
@@ -35,11 +36,13 @@ def run(args: argparse.Namespace) -> int:
     from bridge.engine import Engine
     from bridge.recording import Capture
     from bridge.replay import replay
+    from bridge.report import explain_wait
     from bridge.solution_csv import CsvWriter
 
     capture = Capture(args.capture)
     config = Config.load(args.config) if args.config else Config.from_attachments(capture.attachments)
     table = CsvWriter(args.csv, list(config.navigators)) if args.csv else None
+    explain_wait(sys.stderr)
     try:
         report = replay(capture, Engine(config), table.consume if table is not None else None)
     finally:

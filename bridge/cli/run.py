@@ -37,10 +37,12 @@ def run(args: argparse.Namespace) -> int:
     from bridge.clock import HostClock
     from bridge.config import Config
     from bridge.realtime import RealTime
-    from bridge.report import Printer, outcome_lines
+    from bridge.report import Printer, explain_wait, outcome_lines
 
     real_time = RealTime(args.realtime_priority, args.cpu, args.lock_memory)
-    with Bridge(Config.load(args.config), HostClock(), out=args.out) as bridge:
+    config = Config.load(args.config)
+    explain_wait(sys.stderr)
+    with Bridge(config, HostClock(), out=args.out) as bridge:
         for refusal in real_time.apply():  # now: the recorder's thread is not to have the priority
             print(f"navbridge: {refusal}", file=sys.stderr)
         outcome = bridge.live(sinks=[Printer(sys.stderr)]).run(args.seconds)
