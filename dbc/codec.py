@@ -8,6 +8,7 @@ integer coded, and protected by one of the profiles of `dbc.e2e` (attributes ``E
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.resources import as_file, files
@@ -116,12 +117,13 @@ class MessageCodec:
         self._scale: tuple[tuple[Value, Value], ...] | None = (
             None if plain else tuple((s.factor, s.offset) for s in reversed(self.info))
         )
-        self._encode_plan: tuple[tuple[str, Value, Value, int, int], ...] = tuple(
-            (s.name, s.factor, s.offset, _raw(s, s.minimum), _raw(s, s.maximum)) for s in self.info
+        # last signal first, as they are packed
+        self._encode_plan: tuple[tuple[Value, Value, int, int], ...] = tuple(
+            (s.factor, s.offset, _raw(s, s.minimum), _raw(s, s.maximum)) for s in reversed(self.info)
         )
         self._limits: tuple[tuple[Value, Value], ...] = tuple(
-            (lo * s.factor + s.offset, hi * s.factor + s.offset)
-            for s, (_, _, _, lo, hi) in zip(self.info, self._encode_plan, strict=True)
+            (lo * factor + offset, hi * factor + offset)
+            for factor, offset, lo, hi in reversed(self._encode_plan)
         )
 
     def encode(self, alive: int, *values: Value) -> bytes:
@@ -137,22 +139,29 @@ class MessageCodec:
         if not 0 <= alive < self.alive_modulus:
             raise ValueError(f"{self.name}: alive counter {alive}, expected 0 to {self.alive_modulus - 1}")
         raws = []
-        for value, (name, factor, offset, lo, hi) in zip(values, self._encode_plan, strict=True):
-            try:
+        try:
+            for value, (factor, offset, lo, hi) in zip(reversed(values), self._encode_plan, strict=True):
                 raw = round((value - offset) / factor) if factor != 1 else round(value - offset)
-            except (ValueError, OverflowError):
-                raise ValueError(f"{self.name}.{name}: {value} is not a finite number") from None
-            if not lo <= raw <= hi:
-                raise ValueError(
-                    f"{self.name}.{name}: {value} is outside "
-                    f"{lo * factor + offset:.12g} to {hi * factor + offset:.12g}"
-                )
-            raws.append(raw)
-        raws.reverse()
-        frame = bytearray(self._pack(*raws, alive))
-        frame.reverse()
+                if not lo <= raw <= hi:
+                    raise ValueError
+                raws.append(raw)
+        except (ValueError, OverflowError):
+            raise self._refusal(values) from None
+        frame = bytearray(self._pack(*raws, alive)[::-1])
         self._protect(frame, self.data_id)
         return bytes(frame)
+
+    def _refusal(self, values: tuple[Value, ...]) -> ValueError:
+        """What is wrong with the first value that cannot be encoded."""
+        plan = reversed(self._encode_plan)
+        for value, signal, (factor, offset, lo, hi) in zip(values, self.info, plan, strict=True):
+            name = f"{self.name}.{signal.name}"
+            if not math.isfinite(value):
+                return ValueError(f"{name}: {value} is not a finite number")
+            if not lo <= round((value - offset) / factor) <= hi:
+                limits = f"{lo * factor + offset:.12g} to {hi * factor + offset:.12g}"
+                return ValueError(f"{name}: {value} is outside {limits}")
+        return ValueError(f"{self.name}: {values} do not fit")
 
     def decode(self, data: bytes) -> tuple[Value, ...]:
         """Return the physical values in the order of `signals`; CRC and ranges are not looked at.

@@ -201,7 +201,7 @@ class Solution:
     @property
     def heading(self) -> float:
         """Heading of the vehicle's forward axis clockwise from true north, rad in [0, 2 pi)."""
-        w, x, y, z = self.state[S.Q]
+        w, x, y, z = self.state[S.Q].tolist()
         # second column of C_gv is the forward axis
         angle = math.atan2(2.0 * (x * y - w * z), w * w - x * x + y * y - z * z) % (2.0 * math.pi)
         return 0.0 if angle == 2.0 * math.pi else angle  # the remainder of -1e-20 rounds to the whole turn
@@ -209,12 +209,14 @@ class Solution:
     @property
     def pitch(self) -> float:
         """Pitch, nose up positive, rad."""
-        w, x, y, z = self.state[S.Q]
-        # clamped with numpy, which keeps NaN where min and max would make it 90 degrees
-        return math.asin(np.clip(2.0 * (y * z + w * x), -1.0, 1.0))
+        w, x, y, z = self.state[S.Q].tolist()
+        sine = 2.0 * (y * z + w * x)
+        if abs(sine) > 1.0:  # by rounding; not asked of NaN, which stays
+            sine = math.copysign(1.0, sine)
+        return math.asin(sine)
 
     @property
     def roll(self) -> float:
         """Roll, right side down positive, rad."""
-        w, x, y, z = self.state[S.Q]
+        w, x, y, z = self.state[S.Q].tolist()
         return math.atan2(-2.0 * (x * z - w * y), w * w - x * x - y * y + z * z)

@@ -74,7 +74,7 @@ class CanSolution:
         self._offset = options.id_offset
         self._period_ns = round(1e9 / options.rate_hz)
         messages = contract()
-        self._epoch = [messages[name] for name in EPOCH]
+        self._epoch = [(messages[name], _sigmas(messages[name])) for name in EPOCH]
         self._rejects, self._health = messages["SOL_REJECTS"], messages["SOL_HEALTH"]
         self._slot: int | None = None
         self._alive = 0
@@ -119,11 +119,15 @@ class CanSolution:
     def _send_epoch(self, solution: Solution) -> list[Transmit]:
         values = epoch_values(solution)
         values["SOL_TIME"] = self._time_values(solution.t_ns, solution.mode)
-        sent = [
-            self._transmit(codec, self._alive, saturated)
-            for codec in self._epoch
-            if (saturated := _sendable(codec, values[codec.name])) is not None
-        ]
+        sent = []
+        for codec, sigmas in self._epoch:
+            physical = values[codec.name]
+            if sigmas:
+                physical = _saturated(physical, sigmas)
+            try:
+                sent.append(self._transmit(codec, self._alive, physical))
+            except ValueError:  # a measured value is unknown or out of range
+                continue
         self._alive = (self._alive + 1) % 15
         return sent
 
@@ -134,7 +138,7 @@ class CanSolution:
         }
         sent = [
             self._transmit(codec, self._alive, values[codec.name])
-            for codec in self._epoch
+            for codec, _ in self._epoch
             if codec.name in _ALWAYS
         ]
         self._alive = (self._alive + 1) % 15
@@ -177,7 +181,7 @@ def level_sigmas(solution: Solution) -> tuple[float, float, float]:
     Roll is about the level projection of the forward axis, pitch about the level right axis; east and
     north errors are taken as uncorrelated.
     """
-    east, north, up = (float(x) for x in solution.state[S.SIGMA_PHI])
+    east, north, up = solution.state[S.SIGMA_PHI].tolist()
     heading = solution.heading
     s, c = math.sin(heading), math.cos(heading)
     return math.hypot(s * east, c * north), math.hypot(c * east, s * north), up
@@ -185,7 +189,7 @@ def level_sigmas(solution: Solution) -> tuple[float, float, float]:
 
 def epoch_values(solution: Solution) -> dict[str, tuple[float | int, ...]]:
     """Signals of every frame of an epoch but SOL_TIME, in the units of the contract; NaN where unknown."""
-    x = [float(value) for value in solution.state]
+    x = solution.state.tolist()
     degrees = math.degrees
     flags = solution.flags & 0xFFFF
     heading = degrees(solution.heading)
@@ -208,14 +212,22 @@ def epoch_values(solution: Solution) -> dict[str, tuple[float | int, ...]]:
     }
 
 
-def _sendable(codec: MessageCodec, values: tuple[float | int, ...]) -> tuple[float | int, ...] | None:
-    """``values`` with sigmas limited to their range; None when a measured one is unknown or out of range."""
-    result = []
-    for value, signal in zip(values, codec.info, strict=True):
-        if signal.name.startswith("SIGMA_"):
-            # asked this way round, an unknown sigma (not a number) ends up as the largest as well
-            value = value if 0.0 <= value <= signal.maximum else signal.maximum
-        elif not signal.minimum <= value <= signal.maximum:
-            return None
-        result.append(value)
-    return tuple(result)
+def _sigmas(codec: MessageCodec) -> tuple[tuple[int, float], ...]:
+    """Place and largest value of each standard deviation in a message."""
+    return tuple(
+        (place, float(signal.maximum))
+        for place, signal in enumerate(codec.info)
+        if signal.name.startswith("SIGMA_")
+    )
+
+
+def _saturated(
+    values: tuple[float | int, ...], sigmas: tuple[tuple[int, float], ...]
+) -> tuple[float | int, ...]:
+    """``values`` with standard deviations that are unknown or too large replaced by the largest."""
+    limited = list(values)
+    for place, maximum in sigmas:
+        # asked this way round, so that what is not a number ends up as the largest as well
+        if not 0.0 <= limited[place] <= maximum:
+            limited[place] = maximum
+    return tuple(limited)

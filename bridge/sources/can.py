@@ -41,6 +41,7 @@ class CanBus:
     def __init__(self, options: CanSource, context: SourceContext) -> None:
         self.context = context
         self._options = options
+        self._echoing = options.interface in _ECHOING
         self._bus: can.BusABC | None = None
         self._socket: socket.socket | None = None
         self._index = 0
@@ -108,7 +109,7 @@ class CanBus:
             if self._socket is not None:
                 self._socket.send(can_socket.pack(key, data), socket.MSG_DONTWAIT)
             elif self._bus is not None:
-                if self._options.interface in _ECHOING:
+                if self._echoing:
                     self._echoes.append((key, data))
                 self._bus.send(_message(key, data), timeout=0)
             else:
