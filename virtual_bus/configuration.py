@@ -60,7 +60,8 @@ def imu_errors(grade: Grade) -> dict[str, float]:
         "accel_instability_ug": grade.accel_instability_ug,
         "accel_random_walk_ug_per_sqrt_hz": grade.accel_random_walk_ug_per_sqrt_hz,
         "accel_scale_ppm": grade.accel_scale_ppm if large else 0.0,
-        "gyro_axes_ppm": _axes_ppm(grade.gyro_misalignment_arcsec, 0.0 if large else grade.gyro_scale_ppm),
+        # what is shown is off by the whole misalignment, however little the vehicle turns
+        "gyro_axes_ppm": grade.gyro_misalignment_arcsec * ARCSEC * 1e6,
         "accel_axes_ppm": accel_axes,
         "correlation_s": grade.correlation_s,
     }
