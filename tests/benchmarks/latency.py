@@ -1,10 +1,11 @@
 """Frame received to solution sent, against a bare python-can program that answers with equal frames.
 
 ``python -m tests.benchmarks.latency`` prints the table. Both sides use python-can's virtual bus in this
-process and take turns, burst by burst: the bench sends what is due (most often the three frames of an
-inertial sample); the bridge's whole loop turns once: it receives, records, navigates and sends the solution,
-twelve frames each time. Then a bare loop receives three frames from a bus of its own and sends the same
-answer. Time is simulated, so nothing waits; the bridge records to disk as it does live.
+process and take turns: the bench sends what is due, most often one frame; the bridge's whole loop turns once:
+it receives, records and navigates, and where that frame completed a solution it sends it, twelve frames as a
+rule. The time is that until the last of them is sent. Then a bare loop receives as many frames from a bus of
+its own and sends as many frames of the same content, which it has to make of identifiers and bytes as any
+program must. Time is simulated, so nothing waits; the bridge records to disk as it does live.
 """
 
 from __future__ import annotations
@@ -36,6 +37,9 @@ class TimedBench:
         self._buses = dict.fromkeys(bench.channels, bus)
         self._bus = bus
         self._sent = Sent({})
+        self._total = 0
+        self.count = 0
+        """Frames of the burst."""
         self._start_ns: int | None = None
         self.began_ns = 0
 
@@ -44,6 +48,8 @@ class TimedBench:
         if self._start_ns is None:
             self._start_ns = now_ns
         self._bench.send_due(self._buses, min(now_ns - self._start_ns, self._bench.end_ns), self._sent)
+        total = sum(self._sent.frames.values())
+        self.count, self._total = total - self._total, total
         self.began_ns = time.perf_counter_ns()
 
     def next_ns(self) -> int | None:
@@ -84,7 +90,7 @@ class TimedClock:
             answer.append(message)
         if len(answer) >= self._smallest and any(message.arbitration_id == SOLUTION_ID for message in answer):
             self.bridge_us.append((ended_ns - self.bench.began_ns) / 1e3)
-            self.echo_us.append(self._echo(answer))
+            self.echo_us.append(self._echo(self.bench.count, answer))
         self._now_ns = max(self._now_ns, ns)
 
     def close(self) -> None:
@@ -92,15 +98,16 @@ class TimedClock:
         self._bench_end.shutdown()
         self._echo_end.shutdown()
 
-    def _echo(self, answer: list[can.Message]) -> float:
-        """Three frames in, ``answer`` out, in a loop that does nothing else; us."""
-        for message in answer[:3]:
-            self._bench_end.send(message)
+    def _echo(self, count: int, answer: list[can.Message]) -> float:
+        """``count`` frames in, ``answer`` out, in a loop that does nothing else; us."""
+        for _ in range(count):
+            self._bench_end.send(answer[0])
+        frames = [(message.arbitration_id, bytes(message.data)) for message in answer]
         began_ns = time.perf_counter_ns()
         while self._echo_end.recv(0) is not None:
             pass
-        for message in answer:
-            self._echo_end.send(message)
+        for key, data in frames:
+            self._echo_end.send(can.Message(arbitration_id=key, data=data, is_extended_id=False))
         took = (time.perf_counter_ns() - began_ns) / 1e3
         while self._bench_end.recv(0) is not None:
             pass
