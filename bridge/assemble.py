@@ -12,7 +12,7 @@ from typing import Final
 from bridge.clock import Clock, WallClock
 from bridge.config import Config
 from bridge.engine import Engine
-from bridge.errors import SourceError
+from bridge.errors import ConfigError, SourceError
 from bridge.live import Bench, Live, Sink
 from bridge.realtime import no_collections
 from bridge.recording import Recorder
@@ -21,6 +21,28 @@ from bridge.sources import SOURCES, Source, SourceContext
 from dbc.codec import contract
 
 DBC_ATTACHMENT: Final = "navbridge.dbc"
+
+
+def make_sinks(config: Config, engine: Engine) -> list[Sink]:
+    """Every sink of ``config``; raises ConfigError where one cannot do what it is asked."""
+    sinks = []
+    for name, options in config.sinks.items():
+        number = config.source_number(options.source)
+        context = SinkContext(name, number, engine.peers.get(number), config.files)
+        sinks.append(SINKS[options.type].factory(options, context))
+    return sinks
+
+
+def make_sources(config: Config, engine: Engine, clock: Clock, wall: WallClock) -> list[Source]:
+    """Every source of ``config``, none of them open; raises ConfigError where one cannot be."""
+    sources = []
+    for number, (name, options) in enumerate(config.sources.items(), start=1):
+        context = SourceContext(number, name, clock, wall, engine.accept.get(number))
+        try:
+            sources.append(SOURCES[options.type](options, context))
+        except ConfigError as error:
+            raise ConfigError(f"{config.file}: source.{name}.{error}") from error
+    return sources
 
 
 class Bridge:
@@ -56,14 +78,8 @@ class Bridge:
 
     def __enter__(self) -> Bridge:
         with ExitStack() as stack:
-            for name, options in self.config.sinks.items():
-                number = self.config.source_number(options.source)
-                context = SinkContext(name, number, self.engine.peers.get(number), self.config.files)
-                self.sinks.append(SINKS[options.type].factory(options, context))
-            for number, (name, source_options) in enumerate(self.config.sources.items(), start=1):
-                accept = self.engine.accept.get(number)
-                where = SourceContext(number, name, self.clock, self.wall, accept)
-                self.sources.append(SOURCES[source_options.type](source_options, where))
+            self.sinks = make_sinks(self.config, self.engine)
+            self.sources = make_sources(self.config, self.engine, self.clock, self.wall)
             if self._out is not None:
                 self.recorder = self._recorder(self._out)
                 stack.callback(self.recorder.close)

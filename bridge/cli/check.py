@@ -29,11 +29,16 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check and say what the configuration has."""
     # the engine brings compiled kernels with it, which --help need not wait for
+    from bridge.assemble import make_sinks, make_sources
+    from bridge.clock import HostClock, WallClock
     from bridge.engine import Engine
     from bridge.navigators import provided
 
     config = Config.load(args.config)
-    Engine(config, warm=False)
+    clock = HostClock()
+    engine = Engine(config, warm=False)
+    make_sinks(config, engine)
+    make_sources(config, engine, clock, WallClock(clock))
     if args.resolved:
         print(config.resolved_toml(), end="")
         return 0

@@ -14,6 +14,7 @@ import can
 
 from bridge import arguments
 from bridge.errors import ConfigError, SourceError
+from bridge.sources.can_help import reason
 from virtual_bus import scenario
 from virtual_bus.bus import Bench, Sent
 
@@ -83,7 +84,9 @@ def run(args: argparse.Namespace) -> int:
         except KeyboardInterrupt as error:
             late_ns, stopped = int(error.args[0]) if error.args else 0, "stopped: "
         except can.CanError as error:
-            raise SourceError(f"{args.interface} {where}: cannot send: {error}") from error
+            raise SourceError(
+                f"{args.interface} {where}: cannot send: {reason(error, args.interface, where)}"
+            ) from error
         finally:
             signal.signal(signal.SIGTERM, before)
     seconds = (time.monotonic_ns() - begin_ns) * 1e-9
@@ -123,8 +126,7 @@ def _open(bench: Bench, name: str, args: argparse.Namespace) -> can.BusABC:
         return can.Bus(interface=args.interface, channel=channel, **options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
         raise SourceError(
-            f"{args.interface} {channel}: cannot be opened ({error}); "
-            "check --interface and --channel, and that the bus is up"
+            f"{args.interface} {channel}: cannot be opened: {reason(error, args.interface, channel)}"
         ) from error
 
 

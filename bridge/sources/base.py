@@ -37,7 +37,10 @@ class SourceContext:
 
 
 class Source(Protocol):
-    """A bus or link. Opened once; after that a fault is a notice and a later attempt, never an exception."""
+    """A bus or link. Opened once; after that a fault is a notice and a later attempt, never an exception.
+
+    What is wrong with its options is a ConfigError when it is made, that begins with the key.
+    """
 
     context: SourceContext
 

@@ -12,13 +12,15 @@ from typing import Any, Final
 
 import can
 
-from bridge.errors import SourceError
+from bridge.errors import ConfigError, SourceError
 from bridge.frame import CAN_EFF, CAN_ERR, CAN_RTR, Event
 from bridge.options import CanSource
 from bridge.outputs import Transmit
 from bridge.sources import can_socket
 from bridge.sources.base import Notice, Received, SourceContext
 from bridge.sources.can_errors import describe
+from bridge.sources.can_help import reason
+from bridge.strict import one_of
 
 _BURST: Final = 2000  # frames in one poll
 _DOUBT_NS: Final = 1_000_000  # of the wall clock against the monotonic one
@@ -36,9 +38,14 @@ class CanBus:
 
     SocketCAN is read directly, for the kernel's nanosecond stamps and its count of lost frames; any
     other interface through python-can. An interface that goes away is opened anew until it is back.
+
+    Raises ConfigError, which names the key, when python-can has no such interface.
     """
 
     def __init__(self, options: CanSource, context: SourceContext) -> None:
+        if options.interface not in can.VALID_INTERFACES:
+            expected = one_of(options.interface, can.VALID_INTERFACES)
+            raise ConfigError(f'interface: found "{options.interface}", expected {expected}')
         self.context = context
         self._options = options
         self._echoing = options.interface in _ECHOING
@@ -64,7 +71,9 @@ class CanBus:
             self._open()
         except Exception as error:  # every interface of python-can has errors of its own
             bus = f'{self._options.interface} "{self._options.channel}"'
-            raise SourceError(f"source {self.context.name}: cannot open {bus}: {_reason(error)}") from error
+            raise SourceError(
+                f"source {self.context.name}: cannot open {bus}: {self._reason(error)}"
+            ) from error
         self._heard_ns = self._emptied_ns = self.context.clock.monotonic_ns()
 
     def descriptors(self) -> Sequence[int]:
@@ -265,7 +274,7 @@ class CanBus:
         self._faults += 1
         self._counts["malformed"] += 1
         if self._socket is not None or self._faults >= _FAULTS:
-            self._lose(_reason(error))
+            self._lose(self._reason(error))
 
     def _dropped(self, frames: int) -> None:
         self._counts["dropped"] += frames
@@ -287,6 +296,9 @@ class CanBus:
     def _tell(self, event: Event, **body: int | str) -> None:
         now_ns = self.context.clock.monotonic_ns()
         self._notices.append(Notice(now_ns, event, {"source": self.context.number, **body}))
+
+    def _reason(self, error: Exception) -> str:
+        return reason(error, self._options.interface, self._options.channel)
 
     def _is_echo(self, key: int, data: bytes) -> bool:
         if (key, data) not in self._echoes:
@@ -324,9 +336,3 @@ def _filter(key: int) -> Any:
         "can_mask": 0x1FFF_FFFF if extended else 0x7FF,
         "extended": extended,
     }
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
-    return " ".join(str(error).split()) or type(error).__name__

@@ -26,16 +26,15 @@ class MavlinkLink:
     """One link, MAVLink 1 and 2. The key of a frame is the message number, its data the whole packet.
 
     Packets that carry our own system and component are dropped: a router sent them back.
+
+    Raises ConfigError, which names the key, for a URL that is not understood.
     """
 
     def __init__(self, options: MavlinkSource, context: SourceContext) -> None:
         self.context = context
         self._options = options
         self._us = (options.system_id, options.component_id)
-        try:
-            self._transport = make_transport(options.url, options.baud)
-        except SourceError as error:
-            raise SourceError(f"source {context.name}: {error}") from error
+        self._transport = make_transport(options.url, options.baud)
         self._framers: dict[str, Framer] = {}
         self._retired: Counter[str] = Counter()
         self._counts: Counter[str] = Counter()

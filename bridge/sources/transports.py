@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from bridge.errors import SourceError
+from bridge.errors import ConfigError
 from bridge.sources.carrier import Transport
 from bridge.sources.net import Address, Tcp, Udp
 from bridge.sources.serial_line import Serial
 
 
 def make_transport(url: str, baud: int) -> Transport:
-    """The transport of a URL; raises SourceError for one that is not understood."""
+    """The transport of a URL; raises ConfigError for one that is not understood."""
     kind, _, rest = url.partition(":")
     if url.startswith("/"):
         return Serial(url, baud)
@@ -31,7 +31,7 @@ def make_transport(url: str, baud: int) -> Transport:
         "tcpin": lambda address: Tcp(address, listen=True),
     }
     if kind not in makers or not port.isdigit() or int(port) > 65535:
-        raise SourceError(
+        raise ConfigError(
             f'url: found "{url}", expected udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT '
             "or serial:DEVICE[:BAUD]"
         )

@@ -3,6 +3,7 @@
 import errno
 import itertools
 import json
+import os
 import socket
 import struct
 import time
@@ -14,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.clock import Clock, HostClock, SimulatedClock, WallClock
-from bridge.errors import SourceError
+from bridge.errors import ConfigError, SourceError
 from bridge.frame import CAN_EFF, CAN_ERR, Event
 from bridge.options import CanSource
 from bridge.outputs import Transmit
@@ -22,6 +23,7 @@ from bridge.sources import SOURCES, can_socket
 from bridge.sources.base import SourceContext
 from bridge.sources.can import CanBus
 from bridge.sources.can_errors import describe
+from bridge.sources.can_help import reason
 
 FOREVER = 1 << 62
 _channels = itertools.count()
@@ -167,8 +169,22 @@ def test_a_bus_that_is_not_there_is_one_line() -> None:
     with pytest.raises(SourceError, match=r'source can0: cannot open socketcan "nosuchbus0": ') as caught:
         make("nosuchbus0", "socketcan")
     assert "\n" not in str(caught.value)
-    with pytest.raises(SourceError, match="cannot open nosuchinterface"):
+    with pytest.raises(ConfigError, match='interface: found "nosuchinterface", expected one of'):
         make("x", "nosuchinterface")
+
+
+@pytest.mark.parametrize(
+    ("number", "expected"),
+    [
+        (errno.EAFNOSUPPORT, "modprobe vcan"),
+        (errno.ENODEV, "ip link add dev vcan7 type vcan"),
+        (errno.ENETDOWN, "ip link set vcan7 up"),
+        (errno.EPERM, "Operation not permitted"),
+    ],
+)
+def test_a_socketcan_that_cannot_be_opened_says_what_to_do(number: int, expected: str) -> None:
+    assert expected in reason(OSError(number, os.strerror(number)), "socketcan", "vcan7")
+    assert reason(can.CanInitializationError("no\nlibrary"), "pcan", "x") == "no library"
 
 
 def test_a_bus_that_fails_is_opened_again(pair: tuple[CanBus, can.BusABC]) -> None:

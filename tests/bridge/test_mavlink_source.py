@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bridge.clock import HostClock, WallClock
-from bridge.errors import SourceError
+from bridge.errors import ConfigError, SourceError
 from bridge.frame import Event
 from bridge.options import MavlinkSource
 from bridge.outputs import Transmit
@@ -291,7 +291,7 @@ def test_a_serial_line_that_is_pulled_out() -> None:
     "url", ["", "udpin", "udpin:127.0.0.1", "udpin:127.0.0.1:x", "ftp:a:1", "tcp:h:70000", "serial:"]
 )
 def test_urls_that_are_not_understood(url: str) -> None:
-    with pytest.raises(SourceError, match="expected udpin:HOST:PORT"):
+    with pytest.raises(ConfigError, match=r"url: found .* expected udpin:HOST:PORT"):
         make_transport(url, 57600)
 
 

@@ -1,4 +1,4 @@
-"""What every entry of SINKS, SOURCES, IMPORTERS and COMMANDS promises."""
+"""What every entry of SINKS, IMPORTERS and COMMANDS promises."""
 
 from __future__ import annotations
 
@@ -31,7 +31,6 @@ from bridge.outputs import (
     Transmit,
 )
 from bridge.sinks import SINKS, Sink, SinkContext
-from bridge.sources import SOURCES
 from bridge.strict import convert
 from nav.types import FixType, GnssFix, Mode, S, Solution
 
@@ -117,10 +116,6 @@ def test_a_sink_is_a_function_of_what_it_is_told(name: str) -> None:
     one, two = made(name), made(name)
     for output in outputs():
         assert one.consume([output]) == two.consume([output])
-
-
-def test_every_kind_of_source_has_its_options() -> None:
-    assert SOURCES.keys() == SOURCE_OPTIONS.keys()
 
 
 @pytest.mark.parametrize("name", COMMANDS)

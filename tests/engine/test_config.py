@@ -202,3 +202,32 @@ def test_check_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "device.imu.calibraton" in error
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (
+            'interface = "socketcan"',
+            'interface = "sockatcan"',
+            'c.toml: source.can0.interface: found "sockatcan", expected one of',
+        ),
+        ('url = "udpout:', 'url = "http:', 'c.toml: source.gcs.url: found "http:'),
+        (
+            'type = "can_solution"\nsource = "can0"\nnavigator = "main"\nrate_hz = 50.0',
+            'type = "dbc_map"\nsource = "can0"\nnavigator = "main"\ndbc = "canmod-gps.dbc"\n'
+            'messages = { nosuch = { roll = "roll" } }',
+            'sink.solution.messages.nosuch: found "nosuch"',
+        ),
+    ],
+)
+def test_check_finds_what_only_sources_and_sinks_know(
+    old: str, new: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert old in BENCH
+    (tmp_path / "c.toml").write_text(BENCH.replace(old, new))
+    for command in ("check", "run"):
+        assert main([command, str(tmp_path / "c.toml")]) == 2
+        error = capsys.readouterr().err
+        assert expected in error
+        assert error.count("\n") == 1
