@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import NamedTuple
 
 from nav.types import GnssFix, Mode, Solution
 
@@ -33,8 +34,7 @@ class Severity(IntEnum):
     INFO = 6
 
 
-@dataclass(frozen=True, slots=True)
-class SolutionOut:
+class SolutionOut(NamedTuple):
     """A navigator's new solution; ``latest_rx_ns`` is the frame that completed it."""
 
     navigator: str
@@ -63,8 +63,7 @@ class Progress:
     fraction: float
 
 
-@dataclass(frozen=True, slots=True)
-class FixOut:
+class FixOut(NamedTuple):
     """A GNSS fix as its driver assembled it, before any gate; for those who show or log it."""
 
     t_ns: int
@@ -72,8 +71,7 @@ class FixOut:
     fix: GnssFix
 
 
-@dataclass(frozen=True, slots=True)
-class Innovation:
+class Innovation(NamedTuple):
     """One measurement against its prediction: residuals and their predicted sigmas, SI units."""
 
     t_ns: int
@@ -129,8 +127,7 @@ class Checkpoint:
     sha256: str
 
 
-@dataclass(frozen=True, slots=True)
-class Transmit:
+class Transmit(NamedTuple):
     """A frame to send: CAN payload with its identifier, or a whole MAVLink packet."""
 
     source: int

@@ -113,9 +113,11 @@ class MessageCodec:
         packed = (alive, *self.info)
         self._pack: Callable[..., bytes] = bitstruct.c.compile(_layout(self.length, packed)).pack
 
-        plain = all(s.factor == 1 and s.offset == 0 for s in self.info)
-        self._scale: tuple[tuple[Value, Value], ...] | None = (
-            None if plain else tuple((s.factor, s.offset) for s in reversed(self.info))
+        # only those whose physical value is another number than the raw one
+        self._scale: tuple[tuple[int, Value, Value], ...] = tuple(
+            (place, s.factor, s.offset)
+            for place, s in enumerate(self.info)
+            if (s.factor, s.offset) != (1, 0) or float in (type(s.factor), type(s.offset))
         )
         # last signal first, as they are packed
         self._encode_plan: tuple[tuple[Value, Value, int, int], ...] = tuple(
@@ -171,11 +173,12 @@ class MessageCodec:
         """
         if len(data) != self.length:
             raise ValueError(f"{self.name}: {len(data)} bytes, expected {self.length}")
-        raws = self._unpack(data[::-1])
-        if self._scale is None:
-            return raws[::-1]
-        values = [raw * f + o for raw, (f, o) in zip(raws, self._scale, strict=True)]
-        values.reverse()
+        raws = self._unpack(data[::-1])[::-1]
+        if not self._scale:
+            return raws
+        values: list[Value] = [*raws]
+        for place, factor, offset in self._scale:
+            values[place] = values[place] * factor + offset
         return tuple(values)
 
     def in_range(self, values: tuple[Value, ...]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from nav.types import Mode, Solution
 
@@ -17,8 +18,7 @@ class ModeChange:
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class Innovation:
+class Innovation(NamedTuple):
     """One measurement against its prediction: residuals (computed minus measured) and sigmas, SI units.
 
     ``kind`` is a name of the table of measurements. ``nis`` is the normalised innovation squared.

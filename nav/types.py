@@ -7,9 +7,8 @@ measurement holds (for increments: the end of their interval), and names the dev
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +66,7 @@ class SolutionFlag(IntFlag):
     DEAD_RECKONING = 512  # no position aid within the last seconds
 
 
-@dataclass(frozen=True, slots=True)
-class ImuSample:
+class ImuSample(NamedTuple):
     """Compensated inertial increments over one interval, axes b (right, forward, up).
 
     ``dtheta`` (3,) rad is the integral of w_ib_b, ``dv`` (3,) m/s of f_b, over ``dt`` seconds
@@ -83,8 +81,7 @@ class ImuSample:
     flags: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class OdoSample:
+class OdoSample(NamedTuple):
     """Distance (m, forward positive) rolled by the wheel over ``dt`` seconds ending at ``t_ns``."""
 
     t_ns: int
@@ -94,8 +91,7 @@ class OdoSample:
     device: str
 
 
-@dataclass(frozen=True, slots=True)
-class SpeedSample:
+class SpeedSample(NamedTuple):
     """Forward speed (m/s) of the vehicle and its standard deviation."""
 
     t_ns: int
@@ -104,8 +100,7 @@ class SpeedSample:
     device: str
 
 
-@dataclass(frozen=True, slots=True)
-class BaroSample:
+class BaroSample(NamedTuple):
     """Pressure altitude (m, standard atmosphere) and its standard deviation."""
 
     t_ns: int
@@ -114,8 +109,7 @@ class BaroSample:
     device: str
 
 
-@dataclass(frozen=True, slots=True)
-class GnssFix:
+class GnssFix(NamedTuple):
     """Antenna position (rad, rad, m above the ellipsoid) and velocity (3,) m/s east, north, up.
 
     ``sigma_position`` and ``sigma_velocity`` (3,) are standard deviations east, north, up (m, m/s);
@@ -165,8 +159,7 @@ class S:
     SIZE: Final = 45
 
 
-@dataclass(frozen=True, slots=True)
-class Solution:
+class Solution(NamedTuple):
     """A navigation solution at ``t_ns`` for the configured output point, in vehicle axes.
 
     ``state`` has the layout of `S`; what is not known yet is NaN there, and ``flags`` says which

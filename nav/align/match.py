@@ -87,7 +87,7 @@ def _with_speed(window: Window, sample: SpeedSample) -> Window:
 
 
 def _refuse(state: Match, reason: str) -> tuple[Match, AlignStatus]:
-    return state, replace(state.status, done=False, refusal=reason)
+    return state, state.status._replace(done=False, refusal=reason)
 
 
 def _close(state: Match, fix: GnssFix) -> Match:
@@ -141,7 +141,7 @@ def _cut(pending: deque[ImuSample], t_ns: int, gyro_bias: Vector) -> tuple[Vecto
             part = (t_ns - begin_ns) / (sample.t_ns - begin_ns)
             rest = 1.0 - part
             pending.appendleft(
-                replace(sample, dt=rest * sample.dt, dtheta=rest * sample.dtheta, dv=rest * sample.dv)
+                sample._replace(dt=rest * sample.dt, dtheta=rest * sample.dtheta, dv=rest * sample.dv)
             )
         sample_piece(part * sample.dtheta, part * sample.dv, part * sample.dt, gyro_bias, _ZERO, piece)
         extend(total, piece, _ZERO, _ZERO)

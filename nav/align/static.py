@@ -12,8 +12,7 @@ holds these with their cross terms, so that the fine stage knows that it cannot 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -50,12 +49,12 @@ def limits(config: AlignConfig, lat: float, height: float, seconds: float) -> Ve
     return np.array([math.sqrt(level2), math.sqrt(level2), azimuth])
 
 
-@dataclass(frozen=True, slots=True)
-class Coarse:
+class Coarse(NamedTuple):
     """State of the coarse stage."""
 
     config: AlignConfig
-    still: Still = field(default_factory=Still)
+    still: Still = Still()
+    status: AlignStatus | None = None
 
 
 def coarse_init(config: AlignConfig, given: NavInit | None) -> Coarse:
@@ -71,9 +70,10 @@ def coarse_step(state: Coarse, sample: Sample) -> tuple[Coarse, AlignStatus]:
         still = watch.add(state.still, sample, _ZERO, _ZERO)
         if reason is None and watch.full(still):
             still, reason = watch.close(still, config)
+        elif reason is None and state.status is not None:
+            return Coarse(config, still, state.status), state.status  # within a block nothing changes
     else:
         still, reason = watch.aid(state.still, sample)
-    state = replace(state, still=still)
     place = _place(config, still)
     ready = still.seconds >= config.coarse_s - 0.5 * watch.BLOCK_S and float(still.piece[DT]) == 0.0
     if reason is None and ready:
@@ -90,7 +90,7 @@ def coarse_step(state: Coarse, sample: Sample) -> tuple[Coarse, AlignStatus]:
         done=ready and place is not None and reason is None,
         refusal=None if reason is None else f"static alignment starts again: {reason}",
     )
-    return state, status
+    return Coarse(config, still, status), status
 
 
 def _place(config: AlignConfig, still: Still) -> tuple[float, float, float] | None:
@@ -206,8 +206,7 @@ def _nav_init(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Fine:
+class Fine(NamedTuple):
     """State of the fine stage: attitude, velocity, biases and their covariance, and the watch."""
 
     config: AlignConfig
@@ -239,15 +238,15 @@ def fine_step(state: Fine, sample: Sample) -> tuple[Fine, AlignStatus]:
     if isinstance(sample, ImuSample):
         reason = watch.fault(sample)
         still = watch.add(state.still, sample, state.x[_EPS], state.x[_NAB])
-        state = replace(state, still=still)
+        state = state._replace(still=still)
         if reason is None and watch.full(still):
             state, reason = _update(state)
     else:
         still, reason = watch.aid(state.still, sample)
-        state = replace(state, still=still)
+        state = state._replace(still=still)
     if reason is not None:
         refusal = f"static alignment starts again: {reason}"
-        return state, replace(state.status, done=False, refusal=refusal)
+        return state, state.status._replace(done=False, refusal=refusal)
     return state, state.status
 
 
@@ -275,7 +274,7 @@ def _update(state: Fine) -> tuple[Fine, str | None]:
     if reason is None and nis > SIGMAS**2 and speed > watch.PUSHED:
         reason = f"the vehicle moves: {speed:.2f} m/s against a standstill"
     if reason is not None:
-        return replace(state, still=still), reason
+        return state._replace(still=still), reason
     error = np.asarray(kalman.x, dtype=np.float64).ravel()
     P = np.asarray(kalman.P, dtype=np.float64)
     x = state.x + error
@@ -290,7 +289,7 @@ def _update(state: Fine) -> tuple[Fine, str | None]:
         progress=min(1.0, seconds / config.fine_s),
         done=seconds >= config.fine_s - 0.5 * watch.BLOCK_S,
     )
-    return replace(state, still=still, C=C, x=x, P=0.5 * (P + P.T), seconds=seconds, status=status), None
+    return state._replace(still=still, C=C, x=x, P=0.5 * (P + P.T), seconds=seconds, status=status), None
 
 
 def _transition(

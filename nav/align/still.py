@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -20,21 +19,22 @@ DROVE: Final = 0.5  # m/s by GNSS
 ROLLED: Final = 0.02  # m by the odometer within one sample, or m/s of speed
 SIGMAS: Final = 6.0
 _ZERO: Final = np.zeros(3)
+_NOTHING: Final = empty()
+_NOWHERE: Final = np.full(3, math.inf)
 
 
-@dataclass(frozen=True, slots=True)
-class Still:
+class Still(NamedTuple):
     """The open block, the means of the closed ones, and where GNSS says the antenna is."""
 
-    piece: Vector = field(default_factory=empty)  # of the open block
-    turned: Vector = field(default_factory=lambda: np.zeros(3))  # sum of angle increments of the block
-    pushed: Vector = field(default_factory=lambda: np.zeros(3))
-    rate: Vector = field(default_factory=lambda: np.zeros(3))  # means over the closed blocks, b
-    force: Vector = field(default_factory=lambda: np.zeros(3))
+    piece: Vector = _NOTHING  # of the open block
+    turned: Vector = _ZERO  # sum of angle increments of the block
+    pushed: Vector = _ZERO
+    rate: Vector = _ZERO  # means over the closed blocks, b
+    force: Vector = _ZERO
     seconds: float = 0.0
     t_ns: int = 0
-    place: Vector = field(default_factory=lambda: np.zeros(3))  # mean: lat rad, lon rad, height m
-    sigma_place: Vector = field(default_factory=lambda: np.full(3, math.inf))
+    place: Vector = _ZERO  # mean: lat rad, lon rad, height m
+    sigma_place: Vector = _NOWHERE
     fixes: int = 0
     anchor: GnssFix | None = None
 
@@ -44,8 +44,7 @@ def add(still: Still, sample: ImuSample, gyro_bias: Vector, accel_bias: Vector) 
     piece, total = np.empty(SIZE), still.piece.copy()
     sample_piece(sample.dtheta, sample.dv, sample.dt, gyro_bias, accel_bias, piece)
     extend(total, piece, _ZERO, _ZERO)
-    return replace(
-        still,
+    return still._replace(
         piece=total,
         turned=still.turned + sample.dtheta,
         pushed=still.pushed + sample.dv,
@@ -75,8 +74,7 @@ def close(still: Still, config: AlignConfig) -> tuple[Still, str | None]:
         elif push > max(PUSHED, SIGMAS * config.velocity_random_walk * spread):
             reason = f"the vehicle was pushed: its velocity changed by {push:.2f} m/s in {dt:.1f} s"
     seconds = still.seconds + dt
-    still = replace(
-        still,
+    still = still._replace(
         piece=empty(),
         turned=np.zeros(3),
         pushed=np.zeros(3),
@@ -109,12 +107,11 @@ def aid(still: Still, sample: object) -> tuple[Still, str | None]:
     claimed = sample.sigma_velocity
     sigma = float(np.max(sigma_p)) if claimed is None else float(np.max(claimed))
     if speed is not None and speed > DROVE + SIGMAS * sigma:
-        return replace(still, anchor=anchor), f"the vehicle drives: {speed:.1f} m/s by GNSS"
+        return still._replace(anchor=anchor), f"the vehicle drives: {speed:.1f} m/s by GNSS"
     place = np.array([sample.lat, sample.lon, sample.height])
     n = still.fixes + 1
     # errors of a standing receiver are alike from fix to fix: the mean is no better than a third of one
-    return replace(
-        still,
+    return still._replace(
         anchor=anchor,
         place=still.place + (place - still.place) / n,
         sigma_place=sigma_p * max(1.0 / math.sqrt(n), 1.0 / 3.0),

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any, Generic, TypeVar
+from dataclasses import dataclass, field
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from nav.types import Sample, Vector
 
 
-@dataclass(frozen=True, slots=True)
-class AlignStatus:
+class AlignStatus(NamedTuple):
     """The one status of every alignment stage.
 
     ``estimate`` is q_gb (4,), or None while attitude is not known; ``covariance`` (3, 3) rad^2 is that of
@@ -128,13 +127,12 @@ class Alignment:
     stages: tuple[Stage[Any], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
+class Run(NamedTuple):
     """An alignment under way: which stage, its state, and how often it had to start again."""
 
     alignment: Alignment
     config: AlignConfig
-    index: int
+    stage: int
     state: Any
     restarts: int = 0
 
@@ -151,18 +149,18 @@ def advance(run: Run, sample: Sample) -> tuple[Run, AlignStatus]:
     ``done`` is the whole alignment's; after it call `result`.
     """
     stages = run.alignment.stages
-    state, status = stages[run.index].step(run.state, sample)
-    progress = (run.index + min(1.0, status.progress)) / len(stages)
+    state, status = stages[run.stage].step(run.state, sample)
+    progress = (run.stage + min(1.0, status.progress)) / len(stages)
     if status.refusal is not None:
         state = stages[0].init(run.config, None)
-        return Run(run.alignment, run.config, 0, state, run.restarts + 1), replace(status, progress=0.0)
+        return Run(run.alignment, run.config, 0, state, run.restarts + 1), status._replace(progress=0.0)
     if not status.done:
-        return replace(run, state=state), replace(status, progress=progress)
-    if run.index + 1 == len(stages):
-        return replace(run, state=state), replace(status, progress=1.0)
-    given = stages[run.index].finish(state)
-    state = stages[run.index + 1].init(run.config, given)
-    return replace(run, index=run.index + 1, state=state), replace(status, progress=progress, done=False)
+        return run._replace(state=state), status._replace(progress=progress)
+    if run.stage + 1 == len(stages):
+        return run._replace(state=state), status._replace(progress=1.0)
+    given = stages[run.stage].finish(state)
+    state = stages[run.stage + 1].init(run.config, given)
+    return run._replace(stage=run.stage + 1, state=state), status._replace(progress=progress, done=False)
 
 
 def result(run: Run) -> NavInit:

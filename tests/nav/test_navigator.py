@@ -103,7 +103,7 @@ def test_pure_inertial_is_not_degraded(inertial):
 def test_numbers_that_are_none_end_in_fault(inertial):
     navigator = started()
     play(navigator, inertial[:10])
-    bad = [replace(s, dv=np.array([1e300, 1e300, 0.0])) for s in inertial[10:14]]
+    bad = [s._replace(dv=np.array([1e300, 1e300, 0.0])) for s in inertial[10:14]]
     solutions, events = play(navigator, bad)
     assert changes(events) == [(Mode.NAVIGATE, Mode.FAULT)]
     assert all(np.all(np.isfinite(s.state)) for s in solutions)
@@ -123,7 +123,7 @@ def test_time_running_backwards_is_refused(inertial):
 
 def test_a_faulty_sample_is_refused(inertial):
     navigator = started()
-    bad = replace(inertial[0], flags=int(ImuFlag.DEVICE_FAULT))
+    bad = inertial[0]._replace(flags=int(ImuFlag.DEVICE_FAULT))
     assert navigator.step(bad) == [Refusal(bad.t_ns, "imu", "invalid")]
 
 
@@ -158,7 +158,7 @@ def test_a_long_gap_ends_navigation(inertial):
 
 def test_bridged_and_saturated_samples_are_trusted_less(inertial):
     def sigma(flag):
-        made = [replace(s, flags=int(flag)) if 100 <= i < 110 else s for i, s in enumerate(inertial[:200])]
+        made = [s._replace(flags=int(flag)) if 100 <= i < 110 else s for i, s in enumerate(inertial[:200])]
         return play(started(), made)[0][-1].state[S.SIGMA_PHI][2]
 
     assert sigma(ImuFlag.OK) < sigma(ImuFlag.BRIDGED) < sigma(ImuFlag.SATURATED)
@@ -170,7 +170,7 @@ def test_bridged_and_saturated_samples_are_trusted_less(inertial):
 def test_an_outlier_changes_nothing(inertial):
     good = fixes(SECONDS)
     _, lat, lon = None, good[30][1].lat, good[30][1].lon
-    wild = replace(good[30][1], t_ns=good[30][1].t_ns + 30_000_000, lat=lat + 1e-4, lon=lon + 1e-4, v_g=None)
+    wild = good[30][1]._replace(t_ns=good[30][1].t_ns + 30_000_000, lat=lat + 1e-4, lon=lon + 1e-4, v_g=None)
     without, _ = play(started(), inertial, good)
     with_it, events = play(started(), inertial, [*good, (good[30][0] + 0.03, wild)])
     refused = [e for e in events if isinstance(e, Innovation) and not e.accepted]
@@ -196,12 +196,12 @@ def test_a_shut_gate_opens_again(inertial):
 def test_a_fix_without_position_is_refused(inertial):
     navigator = started()
     navigator.step(inertial[0])
-    bad = replace(fix(DRIVE, 0.005), fix_type=FixType.FIX_2D)
+    bad = fix(DRIVE, 0.005)._replace(fix_type=FixType.FIX_2D)
     assert navigator.step(bad) == [Refusal(5_000_000, "gnss", "invalid")]
 
 
 def test_a_fix_without_velocity_is_used(inertial):
-    bare = [(t, replace(f, v_g=None, sigma_velocity=None)) for t, f in fixes(3.0)]
+    bare = [(t, f._replace(v_g=None, sigma_velocity=None)) for t, f in fixes(3.0)]
     _, events = play(started(), inertial[:300], bare)
     assert {e.kind for e in events if isinstance(e, Innovation)} == {"gnss_position"}
 
@@ -213,7 +213,7 @@ def test_barometer_holds_the_height(inertial):
     """300 s without it would run away; bias of the day is learned where GNSS gives the height."""
     drive = Drive(radius=0.0, sway=0.0, nod=0.0)
     still = samples(*drive.increments(3000, 0.1), 0.1)
-    still = [replace(s, dv=s.dv + np.array([0.0, 0.0, 2e-4 * 0.1])) for s in still]
+    still = [s._replace(dv=s.dv + np.array([0.0, 0.0, 2e-4 * 0.1])) for s in still]
     config = replace(PLAIN, baro_bias=50.0, rest_gyro=0.0)
     baro = [(t, BaroSample(round(t * 1e9), 300.0 + 40.0, 0.5, "baro")) for t in np.arange(0.5, 300.0)]
     early = [(t, fix(drive, t)) for t in np.arange(0.25, 20.0, 1.0)]
@@ -229,7 +229,7 @@ def test_barometer_holds_the_height(inertial):
 def test_speed_log_bounds_the_drift(inertial):
     drive = Drive(sway=0.0, nod=0.0)
     moving = samples(*drive.increments(2000, DT), DT)
-    moving = [replace(s, dv=s.dv + np.array([0.0, 5e-2 * DT, 0.0])) for s in moving]
+    moving = [s._replace(dv=s.dv + np.array([0.0, 5e-2 * DT, 0.0])) for s in moving]
     speeds = []
     for t in np.arange(0.1, 20.0, 0.1):
         v = np.linalg.norm(drive.velocity_e(np.array(t)))

@@ -253,7 +253,7 @@ def test_losing_gnss_or_the_imu_is_said():
     _, refusals = align(deaf)
     assert "no GNSS fix for 10 s" in refusals[0]
     gap = [
-        dataclasses.replace(s, flags=int(ImuFlag.GAP))
+        s._replace(flags=int(ImuFlag.GAP))
         if isinstance(s, ImuSample) and abs(s.t_ns - begin_ns) < 11_000_000
         else s
         for s in samples
@@ -330,7 +330,7 @@ def test_a_push_before_driving_off_keeps_the_level_and_standing_again_renews_it(
         if isinstance(s, ImuSample) and 6.0 < s.t_ns * 1e-9 <= 6.5:
             # back and forth: half a second of 1 m/s^2
             sign = 1.0 if s.t_ns * 1e-9 <= 6.25 else -1.0
-            s = dataclasses.replace(s, dv=s.dv + sign * np.array([0.02, 0.0, 0.0]))
+            s = s._replace(dv=s.dv + sign * np.array([0.02, 0.0, 0.0]))
         pushed.append(s)
     init, refusals = align(pushed)
     assert not refusals

@@ -186,14 +186,14 @@ def moved(samples, begin_s, change):
     ("change", "words"),
     [
         (
-            lambda s, t: dataclasses.replace(s, dtheta=s.dtheta + (2e-3 if t < 0.5 else 0.0)),
+            lambda s, t: s._replace(dtheta=s.dtheta + (2e-3 if t < 0.5 else 0.0)),
             "turned by",
         ),
         (
-            lambda s, t: dataclasses.replace(s, dv=s.dv + (np.array([0.04, 0.0, 0.0]) if t < 0.5 else 0.0)),
+            lambda s, t: s._replace(dv=s.dv + (np.array([0.04, 0.0, 0.0]) if t < 0.5 else 0.0)),
             "pushed",
         ),
-        (lambda s, t: dataclasses.replace(s, flags=int(ImuFlag.GAP)) if t < 0.25 else s, "missing"),
+        (lambda s, t: s._replace(flags=int(ImuFlag.GAP)) if t < 0.25 else s, "missing"),
     ],
 )
 def test_a_disturbance_is_named_and_the_alignment_starts_again(begin_s, change, words):
@@ -218,7 +218,7 @@ def test_wheels_and_gnss_tell_of_driving_off():
 def test_creeping_off_is_seen_by_the_filter():
     """0.02 m/s^2 passes as noise of a block, but not as a standstill's velocity."""
     _, _, _, samples = standing(7, QUICK, 60.0)
-    creep = moved(samples, 30.0, lambda s, t: dataclasses.replace(s, dv=s.dv + np.array([0.004, 0.0, 0.0])))
+    creep = moved(samples, 30.0, lambda s, t: s._replace(dv=s.dv + np.array([0.004, 0.0, 0.0])))
     _, _, refusals = align(creep, QUICK)
     assert refusals
     assert "the vehicle moves" in refusals[0]

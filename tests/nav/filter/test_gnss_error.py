@@ -1,6 +1,5 @@
 """The slowly varying error of a receiver's position: how it decays, what it does to a fix, what it costs."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -79,10 +78,7 @@ def test_many_fixes_with_one_error_are_not_many():
     rng = np.random.default_rng(0)
     sigma = np.hypot(0.2, [SLOW[0], SLOW[0], SLOW[1]])
     aids = [(0.2 * k + 0.003, fix(drive, 0.2 * k + 0.003, sigma=sigma)) for k in range(1, 50)]
-    aids = [
-        (t, dataclasses.replace(f, lat=f.lat + rng.normal() * 0.2 / 6.4e6, height=f.height + 0.5))
-        for t, f in aids
-    ]
+    aids = [(t, f._replace(lat=f.lat + rng.normal() * 0.2 / 6.4e6, height=f.height + 0.5)) for t, f in aids]
     navigator = Navigator(CONFIG)
     navigator.begin(hand_over(drive))
     dtheta, dv = drive.increments(500, DT)
