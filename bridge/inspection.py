@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bridge import inspection_checks as checks
 from bridge.config import Config
@@ -38,6 +39,9 @@ _GAP: Final = 1.5
 _RATE: Final = 0.05
 """How far a rate may be from the configured one."""
 _DEFAULT_BITRATE: Final = 1_000_000
+_SILENCE_NS: Final = 1_000_000_000
+_SILENCE: Final = 10
+"""No sample for so many typical intervals, and `_SILENCE_NS` at least, is a device that fell silent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +151,8 @@ def inspect(capture: Capture) -> Report:
     report.complete = reading.events[Event.STOP] > 0
     reading.summarise(report, capture.sources, names, config)
     report.latency_us = _latency(capture, result)
+    if report.damage:
+        report.findings.append(Finding("", f"nothing can be said about what is behind this: {report.damage}"))
     # a device that two navigators use is judged once
     report.findings += dict.fromkeys(_judge(reading, config))
     return report
@@ -164,6 +170,7 @@ class _Reading:
         self.zero_sigmas: Counter[tuple[str, str]] = Counter()
         self.dropped = self.unrecorded = self.unknown = self.frames = 0
         self._now_ns = 0
+        self.begin_ns = self.end_ns = 0
         self.takers: defaultdict[tuple[int, int], list[str]] = defaultdict(list)
         for name, driver in drivers.items():
             for key in driver.keys:
@@ -179,6 +186,9 @@ class _Reading:
 
     def take(self, frame: RawFrame) -> None:
         self.frames += 1
+        if self.frames == 1:
+            self.begin_ns = self.end_ns = frame.rx_ns
+        self.end_ns = max(self.end_ns, frame.rx_ns)
         place = (frame.source, frame.key)
         self.times[place].append(frame.rx_ns)
         if frame.source == BRIDGE:
@@ -340,6 +350,7 @@ def _judge(reading: _Reading, config: Config | None) -> Iterator[Finding]:
         rate, _, _ = _regularity([sample.t_ns for sample in samples])
         if expected and len(samples) > 10 and abs(rate / expected - 1.0) > _RATE:
             yield Finding(name, f"samples come at {rate:.4g} Hz, rate_hz says {expected:g}")
+        yield from _silences(name, [sample.t_ns for sample in samples], reading.begin_ns, reading.end_ns)
         yield from checks.check_baro(name, samples)
     for navigator in config.navigators.values():
         imus = {name: checks.imu_columns(reading.samples[name]) for name in navigator.devices}
@@ -352,6 +363,28 @@ def _judge(reading: _Reading, config: Config | None) -> Iterator[Finding]:
                 yield from checks.check_turns(name, imus[name], fixes[receiver])
             yield from checks.check_fixes(name, fixes[name])
             yield from checks.check_distance(name, rolled[name], fixes[receiver])
+
+
+def _silences(name: str, times_ns: Sequence[int], begin_ns: int, end_ns: int) -> Iterator[Finding]:
+    """Where a device gave nothing, the end of the capture included."""
+    if len(times_ns) < 2:
+        return
+    times: NDArray[np.int64] = np.append(np.array(times_ns, dtype=np.int64), end_ns)
+    steps = np.diff(times)
+    long = np.flatnonzero(steps > max(_SILENCE_NS, _SILENCE * float(np.median(steps))))
+    if len(long) == 0:
+        return
+    if long[-1] == len(steps) - 1:
+        yield Finding(name, f"silent for the last {steps[-1] / 1e9:.1f} s of the capture")
+        long = long[:-1]
+    if len(long):
+        worst = long[np.argmax(steps[long])]
+        times_more = f", the longest of {len(long)} silences" if len(long) > 1 else ""
+        yield Finding(
+            name,
+            f"silent for {steps[worst] / 1e9:.1f} s, {(times[worst] - begin_ns) / 1e9:.1f} s after the start"
+            + times_more,
+        )
 
 
 def _latency(capture: Capture, result: Mapping[str, str] | None) -> dict[str, dict[str, float]]:

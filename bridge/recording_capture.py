@@ -152,7 +152,12 @@ class Capture:
                     # a record cut in the middle: struct and the text codecs raise their own errors
                     if not started:
                         raise CaptureError(f"{self.path}: not a capture ({error})") from error
-                    self.damage = f"a record cannot be read ({error})"
+                    inside = stream.tell() >= self.path.stat().st_size
+                    self.damage = (
+                        "the file ends inside a record: it was cut off"
+                        if inside
+                        else f"a record cannot be read ({error})"
+                    )
                     return
                 started = True
                 yield record

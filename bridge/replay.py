@@ -65,6 +65,8 @@ class Deviation:
         self.attitude_deg = _larger(self.attitude_deg, math.degrees(_angle(new[S.Q], old[S.Q])))
 
     def __str__(self) -> str:
+        if not self.compared:
+            return "no solution of both at the same instant: nothing to compare"
         return (
             f"largest deviation in {self.compared} solutions: {self.horizontal_m:.3g} m horizontal, "
             f"{self.height_m:.3g} m height, {self.velocity_m_s:.3g} m/s, {self.attitude_deg:.3g} deg"
@@ -78,6 +80,7 @@ class Report:
     ``recorded`` is the final digest of the recording (None: it was cut off), ``verified`` counts the
     checkpoints that agree. ``breaks_ns`` is the time at which frames are first marked as not recorded; what
     closes behind that mark cannot agree. ``failed`` is the first checkpoint before it that does not.
+    ``lost_frames`` counts those that the recording says it has and that could not be read.
     ``machine`` names what differs between the recording machine and this one.
     """
 
@@ -93,6 +96,7 @@ class Report:
     breaks_ns: int | None
     unrecorded: int
     damage: str | None
+    lost_frames: int
     deviation: Deviation
     machine: list[str] = field(default_factory=list)
 
@@ -172,6 +176,7 @@ def replay(
         breaks_ns=breaks_ns,
         unrecorded=unrecorded,
         damage=damage,
+        lost_frames=max(0, int(result.get("frames", "0")) - unrecorded - frames),
         deviation=deviation,
         machine=differences(capture.metadata),
     )

@@ -39,6 +39,6 @@ def run(args: argparse.Namespace) -> int:
     for topic, count in sorted(counts.items()):
         print(f"{count:>9}  {topic}")
     if capture.damage:
-        print(f"cut off: {capture.damage}")
+        print(f"cut off or damaged: {capture.damage}")
     print(f"{out}: {sum(counts.values())} messages on {len(counts)} channels")
     return 0

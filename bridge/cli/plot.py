@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
             count += 1
             print(path)
     if capture.damage:
-        print(f"cut off: {capture.damage}")
+        print(f"cut off or damaged: {capture.damage}")
     if not count:
         raise CaptureError(f"{capture.path}: there is nothing in it to draw")
     return 0

@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 from bridge import arguments
-from bridge.errors import ReplayMismatch
+from bridge.errors import CaptureError, ReplayMismatch
 
 
 def add_parser(subparsers: Any) -> argparse.ArgumentParser:
@@ -52,11 +52,12 @@ def run(args: argparse.Namespace) -> int:
     speed = f", {report.seconds / report.replay_seconds:.0f} times real time" if report.seconds > 0 else ""
     print(f"{capture.path}: {report.frames} frames, {report.seconds:.1f} s{speed}")
     if report.damage:
-        print(f"cut off: {report.damage}")
+        print(f"{'cut off' if report.recorded is None else 'damaged'}: {report.damage}")
     if report.breaks_ns is not None or report.unrecorded:
         print(f"not recorded: {report.unrecorded or 'some'} frames; nothing can agree behind the first gap")
     if not args.config:
-        print(f"checkpoints: {report.verified} of {report.checkpoints} agree")
+        found = f"{report.verified} of {report.checkpoints} agree" if report.checkpoints else "none in it"
+        print(f"checkpoints: {found}")
     print(f"solution sha256: {report.digest}")
     if args.golden:
         if args.golden != report.digest:
@@ -65,6 +66,11 @@ def run(args: argparse.Namespace) -> int:
     if args.config:
         print(report.deviation)
         return 0
+    if report.damage and report.lost_frames and report.failed is None:
+        raise CaptureError(
+            f"{capture.path}: damaged, {report.lost_frames} frames cannot be read and nothing behind the "
+            "damage can be compared"
+        )
     if report.agrees:
         return 0
     print(report.deviation)

@@ -170,12 +170,28 @@ def test_losses_and_bad_frames_are_counted(make: Make) -> None:
     assert {row.key: row.name for row in report.streams}["555"] == ""
 
 
+@pytest.mark.parametrize(
+    ("lose", "expected"),
+    [
+        ((300, 450), ["imu: silent for 1.5 s, 3.0 s after the start"]),
+        ((900, 1200), ["imu: silent for the last 2.9 s of the capture"]),
+        ((300, 330), []),
+    ],
+)
+def test_a_device_that_falls_silent_looks_wrong(
+    make: Make, lose: tuple[int, int], expected: list[str]
+) -> None:
+    # the last sample left is that of 9.99 s; the GNSS goes on, its last fix of 12.8 s arriving 60 ms later
+    assert [text for text in text_of(make(lose=lose)) if "silent" in text] == expected
+
+
 def test_a_cut_off_capture_is_inspected_up_to_the_cut(make: Make, tmp_path: Path) -> None:
     path = make()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[: int(path.stat().st_size * 0.7)])
     report = inspect(Capture(cut))
     assert report.damage
+    assert any(report.damage in finding.text for finding in report.findings)
     assert not report.complete
     assert 0 < report.devices[0].samples <= 1200
 
