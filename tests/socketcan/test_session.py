@@ -1,16 +1,18 @@
 """The bench and the bridge as two processes on a real bus: aligned, navigating, and not one frame lost.
 
 The bus is judged from outside: by candump's log, decoded with cantools, and by the simulator's own count.
+Nothing here is measured by the clock on the wall, because the machine may have other things to do: frames
+that come late are recorded, answered and navigated with all the same.
 """
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import re
 import sys
 from collections import Counter
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -23,22 +25,21 @@ from cantools.database.can import Database
 from bridge.config import Config
 from bridge.engine import Engine
 from bridge.frame import BRIDGE, Event
+from bridge.outputs import Output, Transmit
 from bridge.recording import Capture
-from bridge.replay import replay
+from bridge.replay import Report, replay
+from bridge.sinks import SINKS, SinkContext
 from nav.types import Mode, SolutionFlag
 from tests.socketcan.candump import read_log
-from tests.socketcan.conftest import absence, in_ci
 from tests.socketcan.session import END_S, READY_S
 from tests.socketcan.uml import CHANNEL, Machine
 from virtual_bus.bus import Bench
 
 ROOT = Path(__file__).parents[2]
-SCENARIO = "drive"
-SECONDS = 85.0
-"""A minute at rest, in which the bridge aligns, then away: 25 s of driving."""
-
-LATE_MS = 200.0
-"""Lateness of the bench that the clock models of the drivers must stand."""
+SCENARIO = str(Path(__file__).with_name("town.toml"))
+SECONDS = 60.0
+REST_S = 32.0
+"""Half a minute at rest, in which the bridge aligns, then away."""
 
 DATABASE = cantools.database.load_string((files("dbc") / "navbridge.dbc").read_text("cp1252"))
 assert isinstance(DATABASE, Database)
@@ -94,16 +95,24 @@ def sent_by_bench(session: Path) -> int:
 
 
 @pytest.fixture(scope="module")
-def in_time(session: Path) -> None:
-    """The bench must have kept its own time, or its sensors have lied about theirs.
+def replayed(session: Path) -> tuple[Report, list[tuple[int, bytes]]]:
+    """The capture played again, here, and the frames that a sink would have sent."""
+    capture = Capture(session / "run.mcap")
+    config = Config.from_attachments(capture.attachments)
+    engine = Engine(config)
+    sinks = [
+        SINKS[options.type].factory(options, SinkContext(name, config.source_number(options.source)))
+        for name, options in config.sinks.items()
+    ]
+    sent: list[tuple[int, bytes]] = []
 
-    Frames that wait in the bench for seconds look to the bridge like clocks that jump; none is lost by it.
-    """
-    found = re.search(r"worst lateness ([\d.]+) ms", (session / "sim.txt").read_text())
-    assert found
-    late_ms = float(found[1])
-    if late_ms > LATE_MS:
-        absence(f"this machine is too busy for real time: the bench was late by {late_ms:.0f} ms", ci=in_ci())
+    def watch(outputs: Sequence[Output]) -> None:
+        said = [output for output in outputs if isinstance(output, Transmit)]
+        for sink in sinks:
+            said += sink.consume(outputs)
+        sent.extend((transmit.key, transmit.data) for transmit in said)
+
+    return replay(capture, engine, watch), sent
 
 
 def of(bus: Frames, name: str) -> list[tuple[float, dict[str, Any]]]:
@@ -142,28 +151,45 @@ def test_no_frame_is_lost(session: Path, bus: Frames) -> None:
     }
 
 
-@pytest.mark.usefixtures("in_time")
 def test_it_aligns_and_navigates(bus: Frames) -> None:
-    modes = [(time, Mode(signals["MODE"])) for time, signals in of(bus, "SOL_TIME")]
-    began = next(time for time, mode in modes if mode is Mode.NAVIGATE)
-    assert began < 65.0
-    after = Counter(mode for time, mode in modes if time > began)
+    driven = [(time, signals) for time, signals in of(bus, "SOL_TIME") if signals["TIME_BASE"] == 1]
+    first_us = next(signals["TOW"] for _, signals in of(bus, "GNSS_TIME"))
+    began, signals = next(item for item in driven if Mode(item[1]["MODE"]) is Mode.NAVIGATE)
+    # by the satellites' time; it is ready before the vehicle moves, and not long before
+    assert REST_S - 10.0 < (signals["TIME"] - first_us) * 1e-6 < REST_S
+    after = Counter(Mode(signals["MODE"]) for time, signals in driven if time > began)
+    assert set(after) <= {Mode.NAVIGATE, Mode.CATCH_UP}
     assert after[Mode.NAVIGATE] > 0.9 * sum(after.values())
-    assert modes[-1][1] is Mode.NAVIGATE
-    flags = SolutionFlag(of(bus, "SOL_HEADING")[-1][1]["FLAGS"])
+    # when the bench has ended there is no solution any more: the last whole epoch
+    end, _ = of(bus, "SOL_LAT")[-1]
+    *_, flags = (SolutionFlag(each["FLAGS"]) for time, each in of(bus, "SOL_HEADING") if time < end)
     wanted = SolutionFlag.POSITION | SolutionFlag.VELOCITY | SolutionFlag.LEVEL | SolutionFlag.HEADING
     assert wanted & flags == wanted
 
 
-@pytest.mark.usefixtures("in_time")
-def test_the_solution_keeps_its_rate(bus: Frames) -> None:
-    times = [time for time, _ in of(bus, "SOL_LAT")]
-    assert len(times) > 0.8 * 50.0 * (times[-1] - times[0])
-    # a pause would be work that belongs before the bus is opened, such as compiling; a busy host costs less
-    assert max(b - a for a, b in itertools.pairwise(times)) < 2.0
+def test_the_solution_keeps_its_rate(session: Path, bus: Frames) -> None:
+    """One in every 20 ms in which there was an inertial sample, by the bridge's own clock."""
+    began = next(time for time, _ in of(bus, "SOL_LAT"))
+    rest = sum(time < began for time, _ in of(bus, "IMU_TIME"))
+    samples = [
+        frame.rx_ns
+        for frame in Capture(session / "run.mcap").frames()
+        if frame.source != BRIDGE and NAMES[frame.key] == "IMU_TIME"
+    ]
+    slots = {rx_ns // 20_000_000 for rx_ns in samples[rest:]}
+    # a solution comes with every second sample, so that a slot with one alone may have none
+    assert 0.9 * len(slots) < len(of(bus, "SOL_LAT")) <= len(slots) + 1
 
 
-@pytest.mark.usefixtures("in_time")
+def test_the_bus_carries_what_the_capture_leads_to(
+    session: Path, replayed: tuple[Report, list[tuple[int, bytes]]]
+) -> None:
+    """Every frame of the solution, and no other, bit for bit."""
+    sent = [(key, data) for _, key, data in read_log(session / "bus.log") if NAMES[key].startswith("SOL_")]
+    assert sent == replayed[1]
+    assert len(sent) > 12 * 10 * (SECONDS - REST_S)
+
+
 def test_the_solution_is_where_the_vehicle_is(bus: Frames) -> None:
     """Against the receiver's fixes at the same GPS time, so that it does not matter how busy the host is."""
     solutions = epochs(bus, "SOL_TIME", "TIME")
@@ -183,7 +209,7 @@ def test_the_solution_is_where_the_vehicle_is(bus: Frames) -> None:
             course = math.degrees(math.atan2(fix["VEL_E"], fix["VEL_N"]))
             turned = (ours["HEADING"] - course + 180.0) % 360.0 - 180.0
             compared.append((math.hypot(north, east), abs(turned)))
-    assert len(compared) > 30
+    assert len(compared) > 10
     away, turned_by = np.median(np.array(compared), axis=0)
     # the receiver's noise is 0.5 m an axis and its velocity 60 ms old; its antenna is 0.7 m beside our point
     assert away < 2.5
@@ -207,10 +233,11 @@ def epochs(bus: Frames, first: str, clock: str) -> dict[float, dict[str, float]]
     return found
 
 
-def test_the_live_run_replays_to_its_own_digest(session: Path) -> None:
+def test_the_live_run_replays_to_its_own_digest(
+    session: Path, replayed: tuple[Report, list[tuple[int, bytes]]]
+) -> None:
     printed = (session / "run.txt").read_text().rstrip().splitlines()[-1]
-    capture = Capture(session / "run.mcap")
-    report = replay(capture, Engine(Config.from_attachments(capture.attachments)))
+    report, _ = replayed
     assert printed == f"solution sha256: {report.digest}"
-    assert report.checkpoints > 20
+    assert report.checkpoints > SECONDS - REST_S
     assert report.verified == report.checkpoints
