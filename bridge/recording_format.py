@@ -45,14 +45,14 @@ def unpack_frames(batch: bytes) -> list[RawFrame]:
     Raises CaptureError when a length points past the end of the batch.
     """
     frames: list[RawFrame] = []
-    append, unpack, make = frames.append, HEADER.unpack_from, RawFrame
+    append, unpack, make = frames.append, HEADER.unpack_from, tuple.__new__
     at, end = 0, len(batch)
     try:
         while at < end:
             seq, rx_ns, source, key, length = unpack(batch, at)
             at += _HEADER_SIZE
             stop = at + length
-            append(make(seq, rx_ns, source, key, batch[at:stop]))
+            append(make(RawFrame, (seq, rx_ns, source, key, batch[at:stop])))
             at = stop
     except struct.error as error:
         raise CaptureError(f"a batch of frames ends in the middle of a header: {error}") from error

@@ -18,6 +18,8 @@ PUSHED: Final = 0.05  # m/s within a block
 DROVE: Final = 0.5  # m/s by GNSS
 ROLLED: Final = 0.02  # m by the odometer within one sample, or m/s of speed
 SIGMAS: Final = 6.0
+_GAP: Final = int(ImuFlag.GAP)
+_SATURATED: Final = int(ImuFlag.SATURATED)
 _ZERO: Final = np.zeros(3)
 _NOTHING: Final = empty()
 _NOWHERE: Final = np.full(3, math.inf)
@@ -87,9 +89,9 @@ def close(still: Still, config: AlignConfig) -> tuple[Still, str | None]:
 
 def fault(sample: ImuSample) -> str | None:
     """Why an inertial sample ends a static alignment, or None."""
-    if sample.flags & ImuFlag.GAP:
+    if sample.flags & _GAP:
         return "inertial samples are missing"
-    if sample.flags & ImuFlag.SATURATED:
+    if sample.flags & _SATURATED:
         return "an inertial sensor is saturated"
     return None
 

@@ -97,7 +97,8 @@ class Timeline:
         self.par = par
         self.live = Filter(states)
         self._work = Filter(states)
-        self._working = False
+        self.behind = False
+        """Whether late data is still being worked in."""
         self._scratch = np.zeros((WORK_ROWS, ALL))
         self._out = np.zeros(12)
         self.rest = np.zeros(REST_SIZE)
@@ -127,17 +128,12 @@ class Timeline:
         live.books[:, 2] = _NEVER
         live.u = 0
         live.cursor = 0
-        self._working = False
+        self.behind = False
         self._snap_u[:] = -1
         self._log.clear()
         self._keys.clear()
         self._times[0] = t_ns
         self.t_ns = self._begin_ns = t_ns
-
-    @property
-    def behind(self) -> bool:
-        """Whether late data is still being worked in."""
-        return self._working
 
     def last_accepted(self, kind: str) -> int:
         """Time (ns) of the last accepted measurement of a kind; the start of navigation before any."""
@@ -164,7 +160,7 @@ class Timeline:
         )
         live.u += 1
         self.t_ns = t_ns
-        if not self._working and live.cursor < len(self._log) and self._log[live.cursor].t_ns <= t_ns:
+        if not self.behind and live.cursor < len(self._log) and self._log[live.cursor].t_ns <= t_ns:
             self._apply_due(live, t_ns)
             good = solution_row(live.x, live.P, self.par, self._scratch[0], row)
         return row if good else None
@@ -177,12 +173,12 @@ class Timeline:
         replay(live.x, live.P, self.par, self._scratch, self._ring, self._times, live.u, live.u + 1, 2**62)
         live.u += 1
         self.t_ns = t_ns
-        if not self._working:
+        if not self.behind:
             self._apply_due(live, t_ns)
 
     def _next(self, t_ns: int, dt: float, gap: float, noise: float) -> int:
         live = self.live
-        if live.u % STRIDE == 0 and not self._working:
+        if live.u % STRIDE == 0 and not self.behind:
             self._snapshot(live)
             self._prune()
         place = (live.u + 1) % CAPACITY
@@ -250,7 +246,7 @@ class Timeline:
             self._insert(place, record)
             return True
         if (
-            not self._working
+            not self.behind
             and place == live.cursor
             and t_ns > self._times[(live.u - 1) % CAPACITY]
             and live.u > 0
@@ -258,7 +254,7 @@ class Timeline:
             self._insert(place, record)
             self._apply_due(live, self.t_ns)
             return True
-        if self._working and place >= self._work.cursor and t_ns > self._times[self._work.u % CAPACITY]:
+        if self.behind and place >= self._work.cursor and t_ns > self._times[self._work.u % CAPACITY]:
             self._insert(place, record)
             return True
         start = self._snapshot_before(t_ns)
@@ -274,7 +270,7 @@ class Timeline:
 
     def _snapshot_before(self, t_ns: int) -> int:
         """Newest valid snapshot's update before ``t_ns``, -1 when there is none."""
-        newest = self._work.u if self._working else self.live.u
+        newest = self._work.u if self.behind else self.live.u
         u = newest // STRIDE * STRIDE
         oldest = max(0, self.live.u + STRIDE - CAPACITY)
         while u >= oldest:
@@ -289,7 +285,7 @@ class Timeline:
         work.copy_from(self._snap_x[slot], self._snap_P[slot], self._snap_books[slot])
         work.u = u
         work.cursor = bisect_left(self._keys, (int(self._times[u % CAPACITY]) + 1,))
-        self._working = True
+        self.behind = True
 
     def catch_up(self) -> None:
         """Work off stored updates, at most the budget; at the end the copy becomes the live one."""
@@ -311,7 +307,7 @@ class Timeline:
                 budget -= 1
         if work.u == live.u:
             self.live, self._work = work, live
-            self._working = False
+            self.behind = False
 
     def solution(self) -> Vector | None:
         """The solution row (S.SIZE,) of the live filter as it is now, None when it is not finite."""
