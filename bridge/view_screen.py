@@ -31,6 +31,8 @@ LENGTH: Final = struct.Struct("<I")
 
 _PLAIN_PERIOD_S: Final = 1.0
 _MESSAGES: Final = 8
+WIDE: Final = 100
+"""Columns from which values and their errors fit side by side."""
 _COLOURS: Final = {
     "STANDBY": "white",
     "ALIGN": "yellow",
@@ -58,8 +60,8 @@ def _number(value: float, digits: int) -> str:
     return "-" if value != value else f"{value:.{digits}f}"
 
 
-def render(picture: Picture, messages: Sequence[tuple[bool, str]]) -> Panel:
-    """The screen for one picture."""
+def render(picture: Picture, messages: Sequence[tuple[bool, str]], width: int = WIDE) -> Panel:
+    """The screen for one picture, ``width`` columns wide."""
     mode = picture["mode"]
     parts: list[Any] = [_headline(picture)]
     if mode in ("ALIGN", "CATCH_UP") and "progress" in picture:
@@ -67,9 +69,9 @@ def render(picture: Picture, messages: Sequence[tuple[bool, str]]) -> Panel:
         bar.add_row(picture.get("stage", ""), ProgressBar(total=1.0, completed=picture["progress"], width=40))
         parts.append(bar)
     if solution := picture.get("solution"):
-        parts.append(_solution_table(solution, picture.get("error")))
+        parts += _solution_tables(solution, picture.get("error"), width >= WIDE)
     if devices := picture.get("devices"):
-        parts.append(_device_table(devices, picture["losses"]))
+        parts.append(_device_table(devices, picture["losses"], width >= WIDE))
     parts += [Text(text, style="red" if urgent else "dim") for urgent, text in messages]
     return Panel(Group(*parts), title=picture["title"] or "navbridge", border_style=_COLOURS[mode])
 
@@ -87,37 +89,54 @@ def _headline(picture: Picture) -> Text:
     return line
 
 
-def _solution_table(solution: Picture, error: Mapping[str, float] | None) -> Table:
-    table = Table(box=None, padding=(0, 2))
-    for name in ("", "", "", "", "1 sigma", "error"):
-        table.add_column(name, justify="right")
+def _solution_tables(solution: Picture, error: Mapping[str, float] | None, wide: bool) -> list[Table]:
+    """Values, sigmas and errors side by side, or below each other where there is no room."""
+    rows = _solution_rows(solution, error or {})
+    titles = ("", "", "", "", "1 sigma", "error")
+    if wide:
+        return [_grid(titles, rows, wide)]
+    return [
+        _grid(titles[:4], [row[:4] for row in rows], wide),
+        _grid((titles[0], *titles[4:]), [(row[0], *row[4:]) for row in rows], wide),
+    ]
+
+
+def _grid(titles: Sequence[str], rows: Sequence[Sequence[str]], wide: bool) -> Table:
+    table = Table(box=None, padding=(0, 1, 0, int(wide)), show_header=any(titles))
+    for title in titles:
+        table.add_column(title, justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _solution_rows(solution: Picture, error: Mapping[str, float]) -> list[tuple[str, ...]]:
     lat, lon, height = solution["position"]
     east, north, up = solution["sigma_position"]
-    error = error or {}
 
     def off(key: str, digits: int, unit: str) -> str:
-        return f"{error[key]:.{digits}f} {unit}" if key in error else ""
+        return f"{error[key]:.{digits}f}{unit}" if key in error else ""
 
-    table.add_row(
+    position = (
         "position",
         f"{_number(lat, 7)}°",
         f"{_number(lon, 7)}°",
         f"{_number(height, 2)} m",
         f"{_number(math.hypot(east, north), 2)} / {_number(up, 2)} m",
-        f"{off('horizontal', 2, '/')} {off('height', 2, 'm')}",
+        f"{off('horizontal', 2, ' /')} {off('height', 2, ' m')}",
     )
     e, n, u = solution["velocity"]
     sigma = math.hypot(*solution["sigma_velocity"])
-    table.add_row(
+    velocity = (
         "velocity",
         f"E {_number(e, 3)}",
         f"N {_number(n, 3)}",
         f"U {_number(u, 3)} m/s",
         f"{_number(sigma, 3)} m/s",
-        off("velocity", 3, "m/s"),
+        off("velocity", 3, " m/s"),
     )
     roll, pitch, heading = solution["attitude"]
-    table.add_row(
+    attitude = (
         "attitude",
         f"roll {_number(roll, 3)}°",
         f"pitch {_number(pitch, 3)}°",
@@ -125,13 +144,13 @@ def _solution_table(solution: Picture, error: Mapping[str, float] | None) -> Tab
         f"{_number(solution['sigma_attitude'][2], 3)}°",
         off("heading", 3, "°"),
     )
-    return table
+    return [position, velocity, attitude]
 
 
-def _device_table(devices: Mapping[str, Picture], losses: Mapping[str, int]) -> Table:
-    table = Table(box=None, padding=(0, 2))
+def _device_table(devices: Mapping[str, Picture], losses: Mapping[str, int], wide: bool) -> Table:
+    table = Table(box=None, padding=(0, 1, 0, int(wide)))
     for name in ("device", "Hz", "age ms", "missing", "bridged"):
-        table.add_column(name, justify="left" if name == "device" else "right")
+        table.add_column(name, justify="left" if name == "device" else "right", no_wrap=True)
     table.add_column("not used")
     for name, device in devices.items():
         rejects = ", ".join(f"{reason} {count}" for reason, count in device["rejects"].items())
@@ -169,7 +188,7 @@ def _draw(stream: IO[bytes], console: Console) -> None:
     with Live(console=console, auto_refresh=False, transient=True) as live:
         for picture in _pictures(stream):
             messages.extend(tuple(message) for message in picture["messages"])
-            live.update(render(picture, messages), refresh=True)
+            live.update(render(picture, messages, console.width), refresh=True)
 
 
 def _print(stream: IO[bytes], out: IO[str]) -> None:

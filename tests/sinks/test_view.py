@@ -58,9 +58,9 @@ def everything() -> list[Output]:
     ]
 
 
-def drawn(picture: Picture) -> str:
-    console = Console(file=StringIO(), width=120, color_system=None)
-    console.print(render(picture, picture["messages"]))
+def drawn(picture: Picture, width: int = 120) -> str:
+    console = Console(file=StringIO(), width=width, color_system=None)
+    console.print(render(picture, picture["messages"], width))
     assert isinstance(console.file, StringIO)
     return console.file.getvalue()
 
@@ -92,6 +92,27 @@ def test_screen_shows_the_solution_and_its_error() -> None:
     assert "48.1400000" in screen
     assert "heading 200.000" in screen
     assert re.search(r"error 2\.00 m 0\.000 deg", plain_line(picture))
+
+
+@pytest.mark.parametrize("width", [60, 80, 99, 100])
+def test_no_number_is_cut_short_in_a_narrow_terminal(width: int) -> None:
+    shown = Shown()
+    sink = ViewSink(shown, "main", truth=two_metres_east, clock=lambda: 0.0)
+    sink.consume([*everything(), out(solution(heading_deg=359.123, lon_deg=-123.1234567))])
+    sink.show()
+    screen = drawn(shown.pictures[-1], width)
+    assert "…" not in screen
+    assert max(map(len, screen.splitlines())) == width
+    for words in (
+        "48.1400000°",
+        "-123.1234567°",
+        "heading 359.123°",
+        "1 sigma",
+        "error",
+        "missing",
+        "bridged",
+    ):
+        assert words in screen
 
 
 def test_unknown_values_are_dashes() -> None:
