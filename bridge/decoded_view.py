@@ -59,8 +59,10 @@ class View:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._mcap.finish()  # type: ignore[no-untyped-call]
-        self._file.close()
+        try:
+            self._mcap.finish()  # type: ignore[no-untyped-call]
+        finally:
+            self._file.close()
 
     def add(
         self,

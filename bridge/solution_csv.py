@@ -61,12 +61,22 @@ class CsvWriter:
         """Write the solutions among ``outputs``."""
         for output in outputs:
             if isinstance(output, SolutionOut):
-                self._tables[output.navigator].writerow(row(output.solution))
+                try:
+                    self._tables[output.navigator].writerow(row(output.solution))
+                except OSError as error:
+                    raise self._wrong(output.navigator, error) from error
 
     def close(self) -> None:
         """Finish the files."""
-        for file in self._files.values():
-            file.close()
+        for name, file in self._files.items():
+            try:
+                file.close()
+            except OSError as error:
+                raise self._wrong(name, error) from error
+
+    def _wrong(self, navigator: str, error: OSError) -> ConfigError:
+        place = self._files[navigator].name
+        return ConfigError(f"{place}: cannot write the table: {error.strerror}")
 
 
 def row(solution: Solution) -> list[float | int | str]:

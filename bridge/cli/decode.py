@@ -35,7 +35,10 @@ def run(args: argparse.Namespace) -> int:
     if out.exists() and out.samefile(args.capture):
         raise CaptureError(f"{out}: is the capture itself; give another file with --out")
     explain_wait(sys.stderr)
-    counts = write_view(capture, out)
+    try:
+        counts = write_view(capture, out)
+    except OSError as error:
+        raise CaptureError(f"{out}: cannot write the view: {error.strerror}") from error
     for topic, count in sorted(counts.items()):
         print(f"{count:>9}  {topic}")
     if capture.damage:

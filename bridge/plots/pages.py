@@ -86,7 +86,9 @@ def track(data: PlotData) -> Picture | None:
         np.array([getattr(fix, name) for fix in data.fixes]) for name in ("lat", "lon", "height")
     )
     fix_t = data.seconds_of(np.array([fix.t_ns for fix in data.fixes], dtype=np.int64))
-    plan.plot(*_plane(fix_lat, fix_lon, lat0, lon0), ".", color=GREY, markersize=3, label="GNSS fixes")
+    plan.plot(
+        *_plane(fix_lat, fix_lon, lat0, lon0), ".", color=GREY, markersize=3, label="GNSS fixes (antenna)"
+    )
     level.plot(fix_t, fix_height, ".", color=GREY, markersize=3)
     if data.truth is not None:
         east, north = thin(*_plane(data.truth.lat, data.truth.lon, lat0, lon0))
@@ -172,6 +174,9 @@ def velocity(data: PlotData) -> Picture | None:
         axes.plot(fix_t, fix_v[:, axis], ".", color=GREY, markersize=3, label="GNSS" if len(fix_t) else None)
         band(axes, t, v[:, axis], sigma[:, axis], AXES[axis], "3 sigma")
         line(axes, t, v[:, axis], AXES[axis], _ENU[axis])
+        if data.truth is not None:
+            t_true = data.seconds_of(data.truth.t_ns)
+            line(axes, t_true, data.truth.v_g[:, axis], INK, "truth", linewidth=2.6, alpha=0.25)
         axes.set_ylabel(f"{_ENU[axis]} (m/s)")
         fit(axes, v[:, axis], floor=0.2, cover=1.0)
     modes(panels, data)
@@ -202,7 +207,7 @@ def biases(data: PlotData) -> Picture | None:
             axes.set_ylabel(f"{_BODY[axis]} ({unit})")
             fit(axes, bias - 3.0 * sigma, bias + 3.0 * sigma, cover=0.97)
         panels[0].set_title(name, loc="left", fontsize=10)
-        modes(panels, data)
+        modes(panels, data, float(t[0]))
         time_axis(panels, data, float(t[0]))
     for axes in picture.column(1):
         legend(axes)
@@ -233,7 +238,7 @@ def parameters(data: PlotData) -> Picture | None:
         axes.axhline(0.0, color=INK, linewidth=0.6)
         axes.set_ylabel(f"{name}\n({unit})")
         fit(axes, state - 3.0 * sigma, state + 3.0 * sigma, cover=0.97)
-    modes(panels, data)
+    modes(panels, data, float(t[0]))
     time_axis(panels, data, float(t[0]))
     for axes in panels:
         legend(axes)
@@ -276,7 +281,7 @@ def _innovation(data: PlotData, kind: str, items: list[Innovation]) -> Picture:
         axes.axhline(0.0, color=INK, linewidth=0.6)
         axes.set_ylabel(f"{names[axis]} ({unit})")
         fit(axes, 3.0 * sigma[:, axis], -3.0 * sigma[:, axis], residual[:, axis])
-    modes(panels, data)
+    modes(panels, data, float(t[0]))
     time_axis(panels, data, float(t[0]))
     for axes in panels:
         legend(axes)
@@ -339,7 +344,7 @@ def _error_page(
             axes.axhline(0.0, color=INK, linewidth=0.6)
             axes.set_ylabel(f"{names[axis]} ({unit})")
             fit(axes, 3.0 * sigma[:, axis], -3.0 * sigma[:, axis], error[:, axis], cover=0.99)
-        modes(panels, data)
+        modes(panels, data, float(t[0]))
         time_axis(panels, data, float(t[0]))
         for axes in panels:
             legend(axes)

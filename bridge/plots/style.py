@@ -101,7 +101,10 @@ class Picture:
         """Write the picture as PNG."""
         with mpl.rc_context(_RC):
             self.figure.align_ylabels()
-            self.figure.savefig(path, dpi=DPI)
+            try:
+                self.figure.savefig(path, dpi=DPI)
+            except OSError as error:  # that of a full disk names no file
+                raise OSError(error.errno, error.strerror, str(path)) from error
         return path
 
 
@@ -129,13 +132,13 @@ def band(
         axes.plot(t, edge, color=colour, linewidth=0.6, alpha=0.55)
 
 
-def modes(panels: Iterable[Axes], data: PlotData) -> None:
-    """Shade the time spent in other modes than NAVIGATE; the first panel names them in its legend."""
+def modes(panels: Iterable[Axes], data: PlotData, begin_s: float = 0.0) -> None:
+    """Shade the time from ``begin_s`` on in other modes than NAVIGATE; the first panel names them."""
     for place, axes in enumerate(panels):
         named: set[Mode] = set()
         for begin, end, mode in data.mode_spans():
             colour = MODE_COLOURS.get(mode)
-            if colour is None or end <= begin:
+            if colour is None or end <= max(begin, begin_s):
                 continue
             label = mode.name.lower().replace("_", " ") if place == 0 and mode not in named else None
             named.add(mode)

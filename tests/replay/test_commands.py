@@ -139,3 +139,16 @@ def test_wishes_of_the_scheduler_that_are_refused_are_said(
     config = write_config(tmp_path, "refused")
     assert main(["run", str(config), "--seconds", "0.05", "--cpu", "9999"]) == 0
     assert "processor 9999 refused" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+@pytest.mark.parametrize(
+    ("command", "option", "status"), [("replay", "--csv", 2), ("decode", "--out", 1), ("plot", "--out", 2)]
+)
+def test_a_disk_that_is_full_is_named(
+    command: str, option: str, status: int, recorded: tuple[Path, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, str(recorded[0]), option, "/dev/full"]) == status
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "/dev/full: " in error
