@@ -346,6 +346,8 @@ def _judge(reading: _Reading, config: Config | None) -> Iterator[Finding]:
             yield Finding(name, "no frame of it: identifiers, id_offset or source may be wrong")
         elif not samples:
             yield Finding(name, f"{driver.counters.frames} frames, but no sample")
+        if missing := driver.counters.missing:
+            yield Finding(name, f"{missing} samples missing, {driver.counters.bridged} of them made up")
         expected = getattr(options, "rate_hz", None)
         rate, _, _ = _regularity([sample.t_ns for sample in samples])
         if expected and len(samples) > 10 and abs(rate / expected - 1.0) > _RATE:

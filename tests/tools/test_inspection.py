@@ -165,6 +165,7 @@ def test_losses_and_bad_frames_are_counted(make: Make) -> None:
     assert imu.longest_gap_ms == pytest.approx(210.0, abs=1.0)
     # the twenty that are not there and the three whose last frame failed its CRC, these made up by the driver
     assert (imu.missing, imu.bridged) == (23, 3)
+    assert "23 samples missing, 3 of them made up" in [finding.text for finding in report.findings]
     assert imu.rejects["CRC"] == 3
     assert report.unknown_frames == 7
     assert {row.key: row.name for row in report.streams}["555"] == ""
