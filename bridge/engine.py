@@ -44,6 +44,8 @@ from nav.navigator import Navigator
 from nav.types import GnssFix, Sample, Solution
 
 SECOND_NS: Final = 1_000_000_000
+QUIET_NS: Final = 10 * SECOND_NS
+"""A navigator does not say the same again within this."""
 BACKWARDS_NS: Final = SECOND_NS
 """Stamps of different sockets cross by less; a frame further back than this is turned away."""
 
@@ -213,10 +215,13 @@ class Engine:
                 if reason is not None and event.device in self._drivers:
                     self._drivers[event.device].counters.reject(reason)
             case events.Notice():
-                # an alignment that is refused at every sample says so at every sample
-                if self._now >= self._quiet_until.get(line.name, 0):
-                    self._quiet_until[line.name] = self._now + SECOND_NS
-                    out.append(Text(self._now, Severity.NOTICE, f"{line.name}: {event.text}"))
+                # an alignment that is refused at every sample says so at every sample, each time with
+                # other numbers behind the colon
+                text = f"{line.name}: {event.text}"
+                stem = text.rpartition(":")[0]
+                if self._now >= self._quiet_until.get(stem, 0):
+                    self._quiet_until[stem] = self._now + QUIET_NS
+                    out.append(Text(self._now, Severity.NOTICE, text))
 
     def _second(self, out: list[Output]) -> None:
         """What happens at the first frame, and then at the first of every second."""

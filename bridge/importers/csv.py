@@ -95,7 +95,11 @@ class CsvImport:
             for name, table in tables.items():
                 key = f"{kind}.{name}"
                 source = self._source(key, name)
-                self._streams.append((source, list(make(key, name, table))))
+                try:
+                    frames = list(make(key, name, table))
+                except ValueError as error:  # of a codec, that names signal, value and range
+                    raise ConfigError(f"{self._data / table.file}: {error}") from error
+                self._streams.append((source, frames))
         if not self._streams:
             raise ConfigError(
                 f"{self._file}: found no table, expected at least one of [imu.NAME], [gnss.NAME], ..."

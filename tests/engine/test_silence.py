@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from bridge.engine import Engine
@@ -72,3 +74,19 @@ def test_a_slow_device_is_not_called_silent() -> None:
         f for f in frames(20.0) if not 0x130 <= f.key <= 0x135 or (f.rx_ns - START_NS) // (S // 5) % 10 == 1
     ]
     assert [text for _, _, text in texts(epochs, 20) if text.startswith("gnss")] == []
+
+
+def test_an_alignment_that_cannot_be_says_why_now_and_then() -> None:
+    # driving, the IMU begins after the minute at rest: a static alignment is refused at every sample
+    late = START_NS + 62 * S
+    engine = Engine(bench_config())
+    said = [
+        output
+        for frame in bench_frames()[1]
+        if frame.rx_ns >= late
+        for output in engine.feed(frame)
+        if isinstance(output, Text) and "odometer rolls" in output.text
+    ]
+    times = [text.t_ns for text in said]
+    assert 1 <= len(said) <= 4  # in 28 s
+    assert all(b - a >= 10 * S for a, b in pairwise(times))

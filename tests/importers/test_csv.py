@@ -255,6 +255,8 @@ def test_the_capture_holds_all_it_needs(folder: Folder, tmp_path: Path) -> None:
         (("imu.csv", ",-0.2,", ",nan,"), 'imu.csv: line 2: gy: found "nan", expected a number'),
         (("imu.csv", f"{T0 + 0.05 + 0.002:.4f}", f"{T0:.4f}"), "imu.csv: line 7: time does not rise"),
         (("imu.csv", ",-0.2,", ",-200,"), "imu.csv: line 3"),
+        (("gnss.csv", ",40.03,", ",140.03,"), "gnss.csv: GNSS_LAT.LAT: 140.03 is outside -90 to 90"),
+        (("gnss.csv", ",1600.3,", ",1e9,"), "gnss.csv: GNSS_HEIGHT.HEIGHT: "),
         (("imu.toml", "0.1, 0.1, 0.1", "1e-7, 0.1, 0.1"), "is too fine"),
     ],
 )
