@@ -59,7 +59,7 @@ class Navigator:
         self._timeline = Timeline(config.states, parameters(config), config.lockout, config.replay_updates)
         self._standstill = Standstill(config)
         self._events: list[NavEvent] = []
-        self._run: Run | None = None
+        self._runs: list[Run] = []
         self._first: ImuSample | None = None
         self._imu_ns: int | None = None
         self._check_ns = 0
@@ -79,7 +79,7 @@ class Navigator:
 
     def start(self, t_ns: int) -> list[NavEvent]:
         """Begin with alignment at ``t_ns``, whatever the mode was."""
-        self._align(t_ns, "start")
+        self._align(t_ns, "start", self.config.alignment)
         return self._drain()
 
     def begin(self, init: NavInit) -> list[NavEvent]:
@@ -89,7 +89,7 @@ class Navigator:
 
     def stop(self, t_ns: int) -> list[NavEvent]:
         """Go to STANDBY."""
-        self._run = None
+        self._runs = []
         self._change(t_ns, Mode.STANDBY, "stop")
         return self._drain()
 
@@ -137,24 +137,29 @@ class Navigator:
 
     # ---- alignment -----------------------------------------------------------------------------
 
-    def _align(self, t_ns: int, reason: str) -> None:
-        self._run = begin(ALIGNMENTS[self.config.alignment], align_config(self.config))
+    def _align(self, t_ns: int, reason: str, *names: str) -> None:
+        """Run these alignments side by side: the first to end hands over, the first named is reported."""
+        config = align_config(self.config)
+        self._runs = [begin(ALIGNMENTS[name], config) for name in dict.fromkeys(names)]
         self._first = None
         self._check_ns = t_ns
         self._change(t_ns, Mode.ALIGN, reason)
 
     def _aligning(self, sample: Sample) -> None:
-        if self._run is None:
-            return
-        self._run, status = advance(self._run, sample)
         t = sample.t_ns
+        statuses = []
+        for place, run in enumerate(self._runs):
+            self._runs[place], status = advance(run, sample)
+            if status.done:
+                init = result(self._runs[place])
+                self._runs = []
+                self._navigate(init, "aligned")
+                return
+            statuses.append(status)
+        status = statuses[0]
         if status.refusal is not None:
             self._events.append(Notice(t, f"alignment starts again: {status.refusal}"))
-        if status.done:
-            init = result(self._run)
-            self._run = None
-            self._navigate(init, "aligned")
-        elif t >= self._check_ns:
+        if t >= self._check_ns:
             self._check_ns = t + _CHECK_NS
             sigma = np.sqrt(np.maximum(np.diag(status.covariance), 0.0))
             self._events.append(AlignmentProgress(t, status.progress, tuple(sigma.tolist())))
@@ -233,7 +238,8 @@ class Navigator:
             a, v = 0.5 * first.dtheta, 0.5 * first.dv
             self._timeline.advance(last, first.dt, 1.0, a, v, a, v)
         if silent > self.config.gap_limit * 1e9:
-            self._align(t, f"no inertial data for {silent * 1e-9:.1f} s")
+            # it may stand or be on its way: whichever alignment can end takes over
+            self._align(t, f"no inertial data for {silent * 1e-9:.1f} s", self.config.alignment, "motion")
             return
         self._timeline.rest[:] = 0.0
         self._timeline.bridge(last + round(silent), silent * 1e-9)

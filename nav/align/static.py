@@ -88,7 +88,7 @@ def coarse_step(state: Coarse, sample: Sample) -> tuple[Coarse, AlignStatus]:
         limit=limits(config, lat, height, config.coarse_s + config.fine_s),
         progress=min(1.0, still.seconds / config.coarse_s),
         done=ready and place is not None and reason is None,
-        refusal=None if reason is None else f"static alignment starts again: {reason}",
+        refusal=reason,
     )
     return Coarse(config, still, status), status
 
@@ -245,8 +245,7 @@ def fine_step(state: Fine, sample: Sample) -> tuple[Fine, AlignStatus]:
         still, reason = watch.aid(state.still, sample)
         state = state._replace(still=still)
     if reason is not None:
-        refusal = f"static alignment starts again: {reason}"
-        return state, state.status._replace(done=False, refusal=refusal)
+        return state, state.status._replace(done=False, refusal=reason)
     return state, state.status
 
 

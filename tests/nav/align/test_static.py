@@ -201,7 +201,6 @@ def test_a_disturbance_is_named_and_the_alignment_starts_again(begin_s, change, 
     _, _, _, samples = standing(5, QUICK, 130.0)
     init, _, refusals = align(moved(samples, begin_s, change), QUICK)
     assert words in refusals[0]
-    assert "starts again" in refusals[0]
     assert init is not None
     assert init.t_ns * 1e-9 > begin_s + 59.0
 
