@@ -147,16 +147,11 @@ class Navigator:
 
     def _aligning(self, sample: Sample) -> None:
         t = sample.t_ns
-        statuses = []
-        for place, run in enumerate(self._runs):
-            self._runs[place], status = advance(run, sample)
+        for place in reversed(range(len(self._runs))):
+            self._runs[place], status = advance(self._runs[place], sample)
             if status.done:
-                init = result(self._runs[place])
-                self._runs = []
-                self._navigate(init, "aligned")
+                self._navigate(result(self._runs[place]), "aligned")
                 return
-            statuses.append(status)
-        status = statuses[0]
         if status.refusal is not None:
             self._events.append(Notice(t, f"alignment starts again: {status.refusal}"))
         if t >= self._check_ns:
@@ -175,6 +170,7 @@ class Navigator:
                 self._events.append(Solution(t, Mode.ALIGN, int(flags), row))
 
     def _navigate(self, init: NavInit, reason: str) -> None:
+        self._runs = []
         x, P, self._mounted = initial_state(init, self.config)
         self._timeline.begin(init.t_ns, x, P)
         self._timeline.rest[:] = 0.0
@@ -277,6 +273,9 @@ class Navigator:
     # ---- aids ----------------------------------------------------------------------------------
 
     def _aid(self, s: Sample) -> None:
+        silent = s.t_ns - (self._imu_ns or s.t_ns)
+        if silent > self.config.gap_limit * 1e9 and self.mode is Mode.NAVIGATE:
+            self._change(s.t_ns, Mode.DEGRADED, f"no inertial data for {silent * 1e-9:.1f} s")
         used = True
         if isinstance(s, GnssFix):
             if s.fix_type < FixType.FIX_3D:
