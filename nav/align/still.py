@@ -112,11 +112,11 @@ def aid(still: Still, sample: object) -> tuple[Still, str | None]:
         return still._replace(anchor=anchor), f"the vehicle drives: {speed:.1f} m/s by GNSS"
     place = np.array([sample.lat, sample.lon, sample.height])
     n = still.fixes + 1
-    # errors of a standing receiver are alike from fix to fix: the mean is no better than a third of one
+    # each fix errs in its own way here; what they have in common is added where it is configured
     return still._replace(
         anchor=anchor,
         place=still.place + (place - still.place) / n,
-        sigma_place=sigma_p * max(1.0 / math.sqrt(n), 1.0 / 3.0),
+        sigma_place=sigma_p / math.sqrt(n),
         fixes=n,
     ), None
 
