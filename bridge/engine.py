@@ -100,7 +100,7 @@ class Engine:
         self._unknown = 0
         self._dropped = 0
         self._unrecorded = 0
-        self._drivers = _build_drivers(config)
+        self._drivers = build_drivers(config)
         self._lines = [
             _Line(name, build_navigator(name, config), DigestChain(name), self._sensors(name, config))
             for name in config.navigators
@@ -314,7 +314,8 @@ def _command(body: Mapping[str, Any]) -> Command:
     return Command(CommandCode[str(body["command"]).upper()])
 
 
-def _build_drivers(config: Config) -> dict[str, Driver]:
+def build_drivers(config: Config) -> dict[str, Driver]:
+    """A driver for every device of ``config``, those that share a clock on one clock."""
     shared: dict[str, DeviceClock] = {}
     drivers: dict[str, Driver] = {}
     for name, options in config.devices.items():

@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from bridge import inspection_checks as checks
 from bridge.config import Config
 from bridge.decoding import FrameDecoder
-from bridge.drivers import DRIVERS
-from bridge.drivers.base import Context, Driver
-from bridge.drivers.device_clock import DeviceClock
+from bridge.drivers.base import Driver
 from bridge.drivers.gnss_can import GnssCanOptions
-from bridge.engine import BACKWARDS_NS
+from bridge.engine import BACKWARDS_NS, build_drivers
 from bridge.errors import ConfigError
 from bridge.frame import BRIDGE, CAN_EFF, Event, RawFrame
 from bridge.inspection_checks import Finding
@@ -115,21 +113,6 @@ class Report:
         return document
 
 
-def make_drivers(config: Config) -> dict[str, Driver]:
-    """A driver for every device of ``config``, those that share a clock on one clock."""
-    clocks: dict[str, DeviceClock] = {}
-    drivers: dict[str, Driver] = {}
-    for name, options in config.devices.items():
-        # a name of its own cannot meet that of a shared clock
-        clock = clocks.setdefault(
-            f"shared {options.clock}" if options.clock else f"own {name}", DeviceClock()
-        )
-        source = config.source_number(options.source)
-        context = Context(name, source, config.file, config.files, clock)
-        drivers[name] = DRIVERS[options.driver].factory(options, context)
-    return drivers
-
-
 def inspect(capture: Capture) -> Report:
     """Read ``capture`` once and report; never raises for what is inside it."""
     report = Report(str(capture.path))
@@ -139,7 +122,7 @@ def inspect(capture: Capture) -> Report:
     drivers: dict[str, Driver] = {}
     try:
         config = Config.from_attachments(capture.attachments)
-        drivers = make_drivers(config)
+        drivers = build_drivers(config)
     except ConfigError as error:
         report.findings.append(Finding("", f"the configuration in it cannot be used: {error}"))
     names = FrameDecoder(capture.attachments, config)

@@ -7,9 +7,8 @@ from collections import defaultdict
 import numpy as np
 
 from bridge.config import Config
-from bridge.engine import Engine
+from bridge.engine import Engine, build_drivers
 from bridge.evaluate import SolutionTable, TruthTable
-from bridge.inspection import make_drivers
 from bridge.outputs import FixOut, Innovation, ModeChange, SolutionOut
 from bridge.plots.data import PlotData
 from bridge.recording import Capture
@@ -19,7 +18,7 @@ from nav.types import GnssFix
 def collect(capture: Capture, config: Config) -> list[PlotData]:
     """What each navigator of ``config`` made of ``capture``, in the order of the configuration."""
     engine = Engine(config)
-    drivers = make_drivers(config)
+    drivers = build_drivers(config)
     takers: defaultdict[tuple[int, int], list[str]] = defaultdict(list)
     for name, driver in drivers.items():
         for key in driver.keys:

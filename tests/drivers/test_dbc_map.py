@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import gzip
 import math
-import os
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import cantools.database
@@ -23,6 +21,7 @@ from bridge.importers.candump import parse_line
 from bridge.strict import convert, parse
 from nav.types import FixType, GnssFix, ImuFlag, ImuSample, OdoSample, SpeedSample
 from tests.drivers.made import context, rejects
+from tests.recordings import DATA, needs_recording
 
 VENDOR = """VERSION ""
 NS_ :
@@ -584,12 +583,8 @@ def test_a_file_that_is_no_dbc_is_named() -> None:
 
 # --- the log of a real device
 
-DATA = Path(os.environ.get("NAVBRIDGE_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
 LOG = DATA / "can_gnss_imu_log"
-needs_log = pytest.mark.skipif(
-    not (LOG / "drive.log.gz").is_file(),
-    reason=f"{LOG} is not there; set NAVBRIDGE_DATA to the folder of real recordings",
-)
+needs_log = needs_recording("can_gnss_imu_log")
 
 REAL_IMU = """
 [imu]

@@ -6,7 +6,6 @@ import argparse
 import itertools
 import json
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,10 +22,8 @@ from bridge.importers import IMPORTERS
 from bridge.importers.csv import CsvImport, Withheld
 from bridge.recording import Capture
 from nav.types import FixType, GnssFix, ImuSample, Sample
+from tests.recordings import DATA, needs_recording
 
-DATA = (
-    Path(os.environ.get("NAVBRIDGE_DATA", Path(__file__).parents[3] / "shared" / "data")) / "drive_mems_rtk"
-)
 T0 = 243_261.729
 
 CONFIG = """
@@ -276,11 +273,11 @@ def test_an_outage_needs_a_start_and_a_length(text: str, capsys: pytest.CaptureF
     assert "expected" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"no recording in {DATA}; NAVBRIDGE_DATA names its folder")
+@needs_recording("drive_mems_rtk")
 def test_the_packaged_drive_keeps_every_row() -> None:
-    job = CsvImport("drive_mems_rtk", DATA)
+    job = CsvImport("drive_mems_rtk", DATA / "drive_mems_rtk")
     samples = drive(job.config, list(job.frames()))
-    table = np.loadtxt(DATA / "imu.csv", delimiter=",", skiprows=1)
+    table = np.loadtxt(DATA / "drive_mems_rtk" / "imu.csv", delimiter=",", skiprows=1)
     assert len(samples["imu"]) == len(table) - 1
     assert len(samples["gnss"]) == 2197
     dt = np.diff(table[:, 0])
@@ -291,7 +288,7 @@ def test_the_packaged_drive_keeps_every_row() -> None:
     assert not any(s.flags for s in imu)
     # one clock: every sample and fix stands where the tables have it, from the first second on
     fixes = [s for s in samples["gnss"] if isinstance(s, GnssFix)]
-    gnss = np.loadtxt(DATA / "gnss.csv", delimiter=",", skiprows=1)
+    gnss = np.loadtxt(DATA / "drive_mems_rtk" / "gnss.csv", delimiter=",", skiprows=1)
     begin = fixes[0].t_ns
     assert np.array([s.t_ns - begin for s in imu]) / 1e9 == pytest.approx(table[1:, 0] - gnss[0, 0], abs=1e-5)
     assert np.array([s.t_ns - begin for s in fixes]) / 1e9 == pytest.approx(gnss[:, 0] - gnss[0, 0], abs=1e-5)
