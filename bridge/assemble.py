@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Final
 
 from bridge.clock import Clock, WallClock
 from bridge.config import Config
@@ -18,9 +17,6 @@ from bridge.realtime import no_collections
 from bridge.recording import Recorder
 from bridge.sinks import SINKS, SinkContext
 from bridge.sources import SOURCES, Source, SourceContext
-from dbc.codec import contract
-
-DBC_ATTACHMENT: Final = "navbridge.dbc"
 
 
 def make_sinks(config: Config, engine: Engine) -> list[Sink]:
@@ -28,7 +24,7 @@ def make_sinks(config: Config, engine: Engine) -> list[Sink]:
     sinks = []
     for name, options in config.sinks.items():
         number = config.source_number(options.source)
-        context = SinkContext(name, number, engine.peers.get(number), config.files)
+        context = SinkContext(name, number, engine.peers.get(number), config.files, config.contract)
         sinks.append(SINKS[options.type].factory(options, context))
     return sinks
 
@@ -130,7 +126,7 @@ class Bridge:
             path,
             sources={0: "bridge", **{source.context.number: source.context.name for source in self.sources}},
             utc_offset_ns=self.wall.offset_ns,
-            attachments={**self.config.attachments(), DBC_ATTACHMENT: contract().text},
+            attachments=self.config.attachments(),
             metadata={"filters": json.dumps(filters), **self._metadata},
             lossless=self._lossless,
         )

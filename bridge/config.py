@@ -9,7 +9,7 @@ and ``[sink.NAME]``. Files that it names are sought beside it, then among the pa
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,6 +19,8 @@ import tomli_w
 from bridge.errors import ConfigError
 from bridge.options import SOURCE_OPTIONS, DeviceOptions, NavigatorOptions, SinkOptions, SourceOptions
 from bridge.strict import convert, one_of, parse, plain, unknown, wrong
+from bridge.wire import DBC_ATTACHMENT, read_contract
+from dbc.codec import Contract, contract
 
 PACKAGED: Final = Path(__file__).parent / "configs"
 ATTACHMENT: Final = "config.toml"
@@ -34,7 +36,7 @@ class Config:
 
     ``file`` is the name that error messages give it. ``files`` holds the files that devices and sinks
     name, by the name their options hold; names are unique, so the whole can be kept as a flat set of
-    attachments.
+    attachments. ``contract`` is what frames on the bus mean: the packaged one, in a replay the capture's.
     """
 
     file: str
@@ -43,6 +45,7 @@ class Config:
     navigators: dict[str, NavigatorOptions]
     sinks: dict[str, SinkOptions]
     files: dict[str, bytes]
+    contract: Contract = field(default_factory=contract)
 
     @classmethod
     def load(cls, where: str | Path) -> Config:
@@ -69,17 +72,39 @@ class Config:
         """Rebuild what `attachments` made; nothing outside of them is read.
 
         Raises:
+            ConfigError: the configuration, the contract or a file that is named is missing or wrong.
+        """
+        config = cls.from_files(attachments)
+        return replace(config, contract=attached_contract(attachments))
+
+    @classmethod
+    def from_files(cls, files: Mapping[str, str | bytes]) -> Config:
+        """A configuration that was made here, ``config.toml`` among ``files``, with the packaged contract.
+
+        Raises:
             ConfigError: the configuration or a file it names is missing or wrong.
         """
-        if ATTACHMENT not in attachments:
+        if ATTACHMENT not in files:
             raise ConfigError(f"attachments: found no {ATTACHMENT}, expected the resolved configuration")
+        texts = {name: text.encode() if isinstance(text, str) else text for name, text in files.items()}
 
         def read(key: str, name: str) -> tuple[str, bytes]:
-            if name not in attachments:
-                raise unknown(ATTACHMENT, key, name, attachments)
-            return name, attachments[name]
+            if name not in texts:
+                raise unknown(ATTACHMENT, key, name, texts)
+            return name, texts[name]
 
-        return _build(attachments[ATTACHMENT], ATTACHMENT, read)
+        return _build(texts[ATTACHMENT], ATTACHMENT, read)
+
+    @classmethod
+    def for_capture(cls, attachments: Mapping[str, bytes], where: str | Path | None = None) -> Config:
+        """A capture's own configuration, or the one at ``where``; the contract is the capture's.
+
+        Raises:
+            ConfigError: as `load` and `from_attachments`.
+        """
+        if where is None:
+            return cls.from_attachments(attachments)
+        return replace(cls.load(where), contract=attached_contract(attachments))
 
     def resolved_toml(self) -> str:
         """The configuration with every default spelled out and every file by its attachment's name."""
@@ -97,11 +122,26 @@ class Config:
 
     def attachments(self) -> dict[str, bytes]:
         """Everything `from_attachments` needs, by name."""
-        return {ATTACHMENT: self.resolved_toml().encode(), **self.files}
+        return {
+            ATTACHMENT: self.resolved_toml().encode(),
+            DBC_ATTACHMENT: self.contract.text,
+            **self.files,
+        }
 
     def source_number(self, name: str) -> int:
         """Number of a source in the recorded stream: 1 for the first in the file."""
         return list(self.sources).index(name) + 1
+
+
+def attached_contract(attachments: Mapping[str, bytes]) -> Contract:
+    """The contract that a capture was recorded with.
+
+    Raises:
+        ConfigError: it is missing or damaged.
+    """
+    if DBC_ATTACHMENT not in attachments:
+        raise ConfigError(f"attachments: found no {DBC_ATTACHMENT}, expected the contract of the frames")
+    return read_contract(attachments[DBC_ATTACHMENT])
 
 
 def packaged_files() -> list[str]:
@@ -223,15 +263,15 @@ class _Files:
     def collect(self, options: Any, key: str) -> Any:
         """``options`` with their file names replaced by those in ``found``."""
         renamed = {}
-        for field in options.files:
-            name = getattr(options, field)
+        for place in options.files:
+            name = getattr(options, place)
             if name is not None:
-                renamed[field] = self._add(*self._read(f"{key}.{field}", name))
+                renamed[place] = self._add(*self._read(f"{key}.{place}", name))
         return msgspec.structs.replace(options, **renamed) if renamed else options
 
     def _add(self, name: str, data: bytes) -> str:
         unique, number = name, 1
-        while unique == ATTACHMENT or self.found.get(unique, data) != data:
+        while unique in (ATTACHMENT, DBC_ATTACHMENT) or self.found.get(unique, data) != data:
             number += 1
             unique = f"{number}-{name}"
         self.found[unique] = data

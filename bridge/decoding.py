@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from bridge.config import Config
 from bridge.frame import CAN_EFF, CAN_ERR, CAN_RTR, RawFrame
 from bridge.options import MavlinkSource
+from bridge.wire import DBC_ATTACHMENT
 from dbc.codec import MessageCodec, contract
 
 _CAN_ID: Final = 0x1FFF_FFFF
@@ -25,17 +26,18 @@ _CAN_ID: Final = 0x1FFF_FFFF
 class FrameDecoder:
     """Names and values of the frames of one capture.
 
-    The wire contract comes first, with the identifiers shifted as the configuration's devices and
-    sinks have it; then every DBC file among ``attachments``.
+    The wire contract of ``config`` (without one: the packaged) comes first, with the identifiers shifted
+    as its devices and sinks have it; then every other DBC file among ``attachments``.
     """
 
     def __init__(self, attachments: Mapping[str, bytes], config: Config | None) -> None:
+        self._messages = config.contract if config else contract()
         self._contract: dict[tuple[int, int], MessageCodec] = {}
         self._foreign: dict[int, Message] = {}
         self._mavlink: set[int] = set()
         self._numbers: dict[str, int] = {}
         for name, data in attachments.items():
-            if name.endswith(".dbc") and data != contract().text:
+            if name.endswith(".dbc") and name != DBC_ATTACHMENT:
                 self._add_dbc(data)
         for number, (name, options) in enumerate(config.sources.items() if config else (), start=1):
             self._numbers[name] = number
@@ -88,8 +90,8 @@ class FrameDecoder:
 
     def units(self, name: str) -> dict[str, str]:
         """Units of a message's signals, by signal."""
-        if name in contract():
-            return {signal.name: signal.unit for signal in contract()[name].info}
+        if name in self._messages:
+            return {signal.name: signal.unit for signal in self._messages[name].info}
         for message in self._foreign.values():
             if message.name == name:
                 return {signal.name: signal.unit or "" for signal in message.signals}
@@ -97,12 +99,12 @@ class FrameDecoder:
 
     def _codec(self, source: int, key: int) -> MessageCodec | None:
         return self._contract.get((source, key)) or (
-            None if key in self._foreign else contract().by_id.get(key)
+            None if key in self._foreign else self._messages.by_id.get(key)
         )
 
     def _shift(self, number: int, id_offset: int | None) -> None:
         if id_offset:
-            for codec in contract().values():
+            for codec in self._messages.values():
                 self._contract[number, codec.frame_id + id_offset] = codec
 
     def _add_dbc(self, data: bytes) -> None:

@@ -38,7 +38,7 @@ from bridge.outputs import (
 )
 from bridge.silence import Silence
 from bridge.warm import warm_up
-from dbc.codec import contract
+from bridge.wire import message
 from nav import events
 from nav.navigator import Navigator
 from nav.types import GnssFix, Sample, Solution
@@ -115,8 +115,8 @@ class Engine:
 
         self.peers: dict[int, MavlinkPeer] = {}
         self.accept: dict[int, frozenset[int]] = {}
-        self._command_codec = contract()["COMMAND"]
-        self._ack_codec = contract()["COMMAND_ACK"]
+        self._command_codec = message(config.contract, "COMMAND")
+        self._ack_codec = message(config.contract, "COMMAND_ACK")
         self._ack_alive = 0
         table = tomllib.loads(config.resolved_toml())
         for number, options in enumerate(config.sources.values(), start=1):
@@ -320,6 +320,7 @@ def build_drivers(config: Config) -> dict[str, Driver]:
     drivers: dict[str, Driver] = {}
     for name, options in config.devices.items():
         clock = DeviceClock() if options.clock is None else shared.setdefault(options.clock, DeviceClock())
-        context = Context(name, config.source_number(options.source), config.file, config.files, clock)
+        number = config.source_number(options.source)
+        context = Context(name, number, config.file, config.files, clock, config.contract)
         drivers[name] = DRIVERS[options.driver].factory(options, context)
     return drivers

@@ -21,7 +21,7 @@ from bridge.decoding import FrameDecoder
 from bridge.drivers.base import Driver
 from bridge.drivers.gnss_can import GnssCanOptions
 from bridge.engine import BACKWARDS_NS, build_drivers
-from bridge.errors import ConfigError
+from bridge.errors import CaptureError, ConfigError
 from bridge.frame import BRIDGE, CAN_EFF, Event, RawFrame
 from bridge.inspection_checks import Finding
 from bridge.options import CanSource
@@ -29,7 +29,7 @@ from bridge.outputs import Reject
 from bridge.recording import Capture
 from bridge.recording_format import LATENCY
 from dbc.busload import FD_LENGTHS, classic_bits, fd_bits
-from dbc.codec import MessageCodec, contract
+from dbc.codec import MessageCodec
 from nav.types import Sample, Vector
 
 _GAP: Final = 1.5
@@ -120,12 +120,14 @@ def inspect(capture: Capture) -> Report:
     report.origin = capture.metadata.get("origin", "")
     config: Config | None = None
     drivers: dict[str, Driver] = {}
+    attachments: dict[str, bytes] = {}
     try:
-        config = Config.from_attachments(capture.attachments)
+        attachments = capture.attachments
+        config = Config.from_attachments(attachments)
         drivers = build_drivers(config)
-    except ConfigError as error:
+    except (CaptureError, ConfigError) as error:
         report.findings.append(Finding("", f"the configuration in it cannot be used: {error}"))
-    names = FrameDecoder(capture.attachments, config)
+    names = FrameDecoder(attachments, config)
     reading = _Reading(drivers, config)
     for frame in capture.frames():
         reading.take(frame)
@@ -161,9 +163,9 @@ class _Reading:
         # a driver puts a floor under what the receiver says, so the frames themselves are asked
         self._sigmas: dict[tuple[int, int], tuple[str, MessageCodec]] = {}
         for name, options in config.devices.items() if config else ():
-            if isinstance(options, GnssCanOptions):
+            if config and isinstance(options, GnssCanOptions):
                 for place in drivers[name].keys:
-                    codec = contract().by_id[place[1] - options.id_offset]
+                    codec = config.contract.by_id[place[1] - options.id_offset]
                     if any(signal.startswith("SIGMA_") for signal in codec.signals):
                         self._sigmas[place] = (name, codec)
 

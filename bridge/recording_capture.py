@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from itertools import chain
@@ -51,7 +52,8 @@ class Capture:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.metadata: dict[str, str] = {}
-        self.attachments: dict[str, bytes] = {}
+        self._attachments: dict[str, bytes] = {}
+        self._spoilt: list[str] = []
         self.damage: str | None = None
         header: Header | None = None
         for record in self._records():
@@ -60,7 +62,9 @@ class Capture:
             elif isinstance(record, Metadata) and record.name == META:
                 self.metadata = record.metadata
             elif isinstance(record, Attachment):
-                self.attachments[record.name] = record.data
+                self._attachments[record.name] = record.data
+                if isinstance(record, _Spoilt):
+                    self._spoilt.append(record.name)
             elif isinstance(record, Chunk | Footer):
                 break
         if not self.metadata:
@@ -72,6 +76,18 @@ class Capture:
             raise CaptureError(
                 f"{self.path}: capture format {version}, this navbridge reads {FORMAT_VERSION}"
             )
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        """Configuration, contract and the other files that were recorded with the frames.
+
+        Raises CaptureError when one of them is damaged.
+        """
+        if self._spoilt:
+            raise CaptureError(
+                f"{self.path}: damaged: the checksum of {' and '.join(self._spoilt)} in it does not agree"
+            )
+        return self._attachments
 
     @property
     def sources(self) -> dict[int, str]:
@@ -178,10 +194,22 @@ def _read(stream: BinaryIO) -> Iterator[Record]:
         body = _exactly(stream, length)
         if kind not in _KINDS:
             continue
-        yield _KINDS[kind].read(ReadDataStream(BytesIO(body)))
+        record = _KINDS[kind].read(ReadDataStream(BytesIO(body)))
+        if isinstance(record, Attachment) and not _crc_agrees(body):
+            record = _Spoilt(**vars(record))
+        yield record
         if kind == Opcode.FOOTER:
             _require_magic(stream)
             return
+
+
+class _Spoilt(Attachment):
+    """An attachment whose bytes are not those that were written."""
+
+
+def _crc_agrees(body: bytes) -> bool:
+    """Whether the last four bytes of an attachment's record are the CRC-32 of the others."""
+    return zlib.crc32(body[:-4]) == int.from_bytes(body[-4:], "little")
 
 
 def _require_magic(stream: BinaryIO) -> None:

@@ -220,19 +220,23 @@ class Contract(Mapping[str, MessageCodec]):
         return len(self._by_name)
 
 
-def load(path: str | Path) -> Contract:
-    """Read a contract from a DBC file.
+def parse(text: bytes, name: str) -> Contract:
+    """Read a contract from the bytes of a DBC file; ``name`` is what errors call it.
 
-    Raises ValueError, with file and message, when it is not DBC or breaks the rules of a contract.
+    Raises ValueError, with name and message, when it is not DBC or breaks the rules of a contract.
     """
-    text = Path(path).read_bytes()
     try:
         database = cantools.database.load_string(text.decode("cp1252"), database_format="dbc")
-        if not isinstance(database, Database):
+        if not isinstance(database, Database) or not database.messages:
             raise ValueError("it holds no CAN messages")
         return Contract(database, text)
     except (CantoolsError, ValueError) as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise ValueError(f"{name}: {error}") from error
+
+
+def load(path: str | Path) -> Contract:
+    """Read a contract from a DBC file; raises as `parse`."""
+    return parse(Path(path).read_bytes(), str(path))
 
 
 @cache
@@ -268,6 +272,8 @@ def _require_layout(message: Message, signals: list[Signal], profile: _Profile) 
 
 def _info(s: Signal) -> SignalInfo:
     factor, offset = s.conversion.scale, s.conversion.offset
+    if factor == 0:
+        raise ValueError(f"signal {s.name} has a factor of 0")
     lo, hi = (-(1 << s.length - 1), (1 << s.length - 1) - 1) if s.is_signed else (0, (1 << s.length) - 1)
     minimum = lo * factor + offset if s.minimum is None else s.minimum
     maximum = hi * factor + offset if s.maximum is None else s.maximum

@@ -166,7 +166,7 @@ def run(args: argparse.Namespace) -> int:
     bench.prepare()
     mavlink_url = None if args.mavlink == "none" else args.mavlink
     files = bench.files("virtual", CHANNEL, mavlink_url)
-    config = Config.from_attachments({name: text.encode() for name, text in files.items()})
+    config = Config.from_files(files)
     outcome, unrecorded, errors_found = _drive(args, bench, config)
     *lines, digest = outcome_lines(outcome, unrecorded)
     print(*lines, f"capture: {args.out}", *errors_found, digest, sep="\n", flush=True)

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from bridge.report import explain_wait
 
     capture = Capture(args.capture)
-    config = Config.load(args.config) if args.config else Config.from_attachments(capture.attachments)
+    config = Config.for_capture(capture.attachments, args.config)
     folder = Path(args.out)
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"--out {folder}: is a file, expected a folder")

@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     from bridge.solution_csv import CsvWriter
 
     capture = Capture(args.capture)
-    config = Config.load(args.config) if args.config else Config.from_attachments(capture.attachments)
+    config = Config.for_capture(capture.attachments, args.config)
     table = CsvWriter(args.csv, list(config.navigators)) if args.csv else None
     explain_wait(sys.stderr)
     try:

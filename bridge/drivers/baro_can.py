@@ -15,7 +15,6 @@ from bridge.drivers.odometer_can import TIME_MODULUS_NS
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
-from dbc.codec import contract
 from nav.types import BaroSample
 
 # ICAO Standard Atmosphere (Doc 7488), the two lowest layers
@@ -53,7 +52,7 @@ class BaroCan:
     def __init__(self, options: BaroCanOptions, context: Context) -> None:
         self.counters = Counters()
         self._name = context.name
-        self._codec = contract()["BARO"]
+        self._codec = context.message("BARO")
         self.keys = [(context.source, self._codec.frame_id + options.id_offset)]
         self._alive = AliveCounter(self._codec, self.counters)
         self._port = context.port(TIME_MODULUS_NS, options.latency_ms)

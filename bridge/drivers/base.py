@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 from bridge.drivers.counters import Counters
@@ -12,6 +12,8 @@ from bridge.errors import ConfigError
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions
 from bridge.strict import unknown, wrong
+from bridge.wire import message
+from dbc.codec import Contract, MessageCodec, contract
 from nav.types import Sample
 
 Samples = Sequence[Sample]
@@ -44,6 +46,11 @@ class Context:
     file: str  # the configuration's, for error messages
     files: Mapping[str, bytes]  # by the name that the options give
     clock: DeviceClock
+    contract: Contract = field(default_factory=contract)
+
+    def message(self, name: str) -> MessageCodec:
+        """The codec of a message; raises ConfigError where the contract in force has it not."""
+        return message(self.contract, name)
 
     def port(self, modulus_ns: int | None, latency_ms: float) -> ClockPort:
         """A counter of this device on its (possibly shared) clock; ``modulus_ns`` None: it never wraps."""

@@ -15,7 +15,7 @@ from bridge.drivers.counters import Counters
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
-from dbc.codec import MessageCodec, contract
+from dbc.codec import MessageCodec
 from nav.types import FixType, GnssFix
 
 WEEK_NS: Final = 604_800 * 10**9
@@ -47,7 +47,7 @@ class GnssCan:
         self._min_v = options.min_sigma_velocity_m_s
         self._codecs: dict[int, tuple[int, MessageCodec]] = {}
         for place, name in enumerate(_MESSAGES):
-            codec = contract()[name]
+            codec = context.message(name)
             self._codecs[codec.frame_id + options.id_offset] = (place, codec)
         self.keys = [(context.source, key) for key in self._codecs]
         self._alive = -1  # of the epoch being collected; -1: none

@@ -16,7 +16,6 @@ from bridge.drivers.device_clock import ClockPort
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
-from dbc.codec import contract
 from nav.imu.pulses import compensate
 from nav.types import ImuFlag, ImuSample
 
@@ -68,10 +67,9 @@ class ImuCan:
         self._period_ns = 1e9 / options.rate_hz
         self._bridge = options.bridge_samples
 
-        messages = contract()
-        self._gyro_codec, self._accel_codec = messages["IMU_GYRO"], messages["IMU_ACCEL"]
-        self._time_codec, self._status_codec = messages["IMU_TIME"], messages["IMU_STATUS"]
-        self._fd_codec = messages["IMU_FD"]
+        self._gyro_codec, self._accel_codec = context.message("IMU_GYRO"), context.message("IMU_ACCEL")
+        self._time_codec, self._status_codec = context.message("IMU_TIME"), context.message("IMU_STATUS")
+        self._fd_codec = context.message("IMU_FD")
         offset = options.id_offset
         self._gyro_key = self._gyro_codec.frame_id + offset
         self._accel_key = self._accel_codec.frame_id + offset

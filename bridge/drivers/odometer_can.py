@@ -13,7 +13,6 @@ from bridge.drivers.counters import Counters
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
-from dbc.codec import contract
 from nav.types import OdoSample
 
 TICK_MODULUS: Final = 2**32
@@ -38,7 +37,7 @@ class OdometerCan:
     def __init__(self, options: OdometerCanOptions, context: Context) -> None:
         self.counters = Counters()
         self._name = context.name
-        self._codec = contract()["ODO"]
+        self._codec = context.message("ODO")
         self.keys = [(context.source, self._codec.frame_id + options.id_offset)]
         self._alive = AliveCounter(self._codec, self.counters)
         self._port = context.port(TIME_MODULUS_NS, options.latency_ms)

@@ -14,7 +14,6 @@ from bridge.drivers.odometer_can import TIME_MODULUS_NS
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
-from dbc.codec import contract
 from nav.types import SpeedSample
 
 
@@ -35,7 +34,7 @@ class SpeedCan:
     def __init__(self, options: SpeedCanOptions, context: Context) -> None:
         self.counters = Counters()
         self._name = context.name
-        self._codec = contract()["SPEED"]
+        self._codec = context.message("SPEED")
         self.keys = [(context.source, self._codec.frame_id + options.id_offset)]
         self._alive = AliveCounter(self._codec, self.counters)
         self._port = context.port(TIME_MODULUS_NS, options.latency_ms)

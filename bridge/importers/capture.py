@@ -11,9 +11,6 @@ import msgspec
 from bridge.config import Config
 from bridge.frame import BRIDGE, Event, RawFrame
 from bridge.recording import Recorder
-from dbc.codec import contract
-
-DBC_ATTACHMENT = "navbridge.dbc"
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +38,7 @@ def write_capture(
         path,
         sources=names,
         utc_offset_ns=utc_offset_ns,
-        attachments={**config.attachments(), DBC_ATTACHMENT: contract().text},
+        attachments=config.attachments(),
         metadata={"origin": origin},
         lossless=True,
     )

@@ -20,6 +20,7 @@ from bridge.outputs import (
     Text,
     Transmit,
 )
+from dbc.codec import Contract, contract
 
 
 class Sink(Protocol):
@@ -39,13 +40,15 @@ class SinkContext:
     """What a sink is built from besides its own options.
 
     ``name`` is the sink's, ``source`` the number of the source it sends on; ``peer`` our end of that
-    link where it speaks MAVLink; ``files`` the bytes of the files by the name that the options give.
+    link where it speaks MAVLink; ``files`` the bytes of the files by the name that the options give;
+    ``contract`` what our own frames look like.
     """
 
     name: str
     source: int
     peer: MavlinkPeer | None = None
     files: Mapping[str, bytes] = field(default_factory=dict)
+    contract: Contract = field(default_factory=contract)
 
 
 class Entry(NamedTuple):

@@ -26,7 +26,7 @@ from bridge.outputs import (
     Transmit,
 )
 from bridge.sinks.base import SinkContext
-from dbc.codec import MessageCodec, contract
+from dbc.codec import MessageCodec
 from nav.types import Mode, S, Solution, SolutionFlag
 
 _WEEK_NS = 7 * 86400 * 1_000_000_000
@@ -66,14 +66,14 @@ class CanSolutionOptions(SinkOptions):
 
 
 class CanSolution:
-    """Encodes one navigator's solution through the packaged contract."""
+    """Encodes one navigator's solution through the contract."""
 
     def __init__(self, options: CanSolutionOptions, context: SinkContext) -> None:
         self._navigator = options.navigator
         self._source = context.source
         self._offset = options.id_offset
         self._period_ns = round(1e9 / options.rate_hz)
-        messages = contract()
+        messages = context.contract
         self._epoch = [(messages[name], _sigmas(messages[name])) for name in EPOCH]
         self._rejects, self._health = messages["SOL_REJECTS"], messages["SOL_HEALTH"]
         self._slot: int | None = None

@@ -68,7 +68,7 @@ def load(what: str | Path) -> scenario.Scenario:
 def configuration(bench: Bench) -> Config:
     """The bridge's configuration for a bench, no telemetry."""
     files = bench.files("virtual", "bench", None)
-    return Config.from_attachments({name: text.encode() for name, text in files.items()})
+    return Config.from_files(files)
 
 
 def navigator_of(what: scenario.Scenario) -> NavigatorConfig:

@@ -121,7 +121,7 @@ def measure(
     bench = Bench("drive", seed=1, seconds=seconds)
     bench.prepare()
     files = bench.files("virtual", CHANNEL)
-    config = Config.from_attachments({name: text.encode() for name, text in files.items()})
+    config = Config.from_files(files)
     devices = can.Bus(interface="virtual", channel=CHANNEL)
     clock = TimedClock(devices, smallest)
     try:

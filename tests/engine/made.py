@@ -36,7 +36,7 @@ def bench_frames(seconds: float = 90.0, scenario: str = "drive") -> tuple[dict[s
 
 
 def bench_config(seconds: float = 90.0) -> Config:
-    return Config.from_attachments(bench_frames(seconds)[0])
+    return Config.from_files(bench_frames(seconds)[0])
 
 
 def event(key: Event, rx_ns: int, /, **body: Any) -> RawFrame:

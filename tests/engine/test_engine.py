@@ -232,7 +232,7 @@ def test_without_autostart_it_waits_for_a_command() -> None:
     files = dict(bench_frames()[0])
     text = files[ATTACHMENT].decode().replace("[navigator.main]", "[navigator.main]\nautostart = false")
     files[ATTACHMENT] = text.encode()
-    engine = Engine(Config.from_attachments(files))
+    engine = Engine(Config.from_files(files))
     outputs = fed(engine, bench_frames()[1][:5000])
     assert of(ModeChange, outputs) == []
     assert of(SolutionOut, outputs) == []

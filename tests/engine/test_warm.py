@@ -25,7 +25,7 @@ def compiled():
 files, frames = bench_frames()
 for alignment in (b"static", b"motion"):
     text = files["config.toml"].replace(b'alignment = "static"', b'alignment = "' + alignment + b'"')
-    engine = Engine(Config.from_attachments({**files, "config.toml": text}))
+    engine = Engine(Config.from_files({**files, "config.toml": text}))
     before = compiled()
     # from 60 s on the receiver is two seconds late besides, so that the history is rewound
     start = frames[0].rx_ns + 60 * 10**9
