@@ -18,6 +18,7 @@ from nav.filter.states import (
     P_LP,
     P_PUSH,
     P_TURN,
+    P_U,
     P_VIB_A,
     P_VIB_G,
     X_A,
@@ -38,7 +39,8 @@ from nav.filter.states import (
 )
 from nav.jit import kernel
 from nav.rotation import logarithm, multiply, rotate
-from nav.strapdown.kernels import M_C, M_EN, M_IE, M_V, X_C, X_H, X_Q, X_V, strapdown
+from nav.strapdown.control import U_SIZE
+from nav.strapdown.kernels import M_C, M_EN, M_IE, M_V, X_C, X_H, X_Q, X_V, increments, strapdown
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -107,7 +109,8 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Matrix, row: Vector) -> N
         extra_v = 0.0
         extra_phi = 0.0
     vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
-    strapdown(x, d, dt, mid)
+    increments(d, 2, work[17])
+    strapdown(x, work[17], dt, par[P_U : P_U + U_SIZE], mid)
     for i in range(3):
         x[X_W + i] = (d[i] + d[3 + i]) / dt
         x[X_F + i] = (d[6 + i] + d[9 + i]) / dt

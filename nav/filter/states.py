@@ -24,6 +24,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from nav.strapdown.control import U_SIZE
+
 POSITION: Final = slice(0, 3)
 VELOCITY: Final = slice(3, 6)
 PHI: Final = slice(6, 9)
@@ -42,22 +44,22 @@ FULL: Final = 25
 ALL: Final = 28
 """Number of states with the receiver's error as well."""
 
-X_BG: Final = 17  # gyro bias, 3
-X_BA: Final = 20  # accelerometer bias, 3
-X_KO: Final = 23  # odometer scale
-X_QV: Final = 24  # q_vb, 4
-X_BB: Final = 28  # barometer bias
-X_SG: Final = 29  # gyro scale, 3
-X_SA: Final = 32  # accelerometer scale, 3
-X_W: Final = 35  # w_ib_b over the last update, corrected, 3
-X_F: Final = 38  # f_b over the last update, corrected, 3
-X_A: Final = 41  # mean acceleration of the last update in n (rate of v_n), 3
-X_PATH: Final = 44  # integral of the odometer point's velocity in v since the last odometer epoch, 3
-X_PT: Final = 47  # and its duration, s
-X_Q0: Final = 48  # q_vb as configured or first found, the reference of the mounting shown, 4
-X_GB: Final = 52  # slowly varying error of the receiver's position in n, 3
-X_ROLL: Final = 55  # variance of the mounting's roll, which no measurement shows
-X_SIZE: Final = 56
+X_BG: Final = 18  # gyro bias, 3
+X_BA: Final = 21  # accelerometer bias, 3
+X_KO: Final = 24  # odometer scale
+X_QV: Final = 25  # q_vb, 4
+X_BB: Final = 29  # barometer bias
+X_SG: Final = 30  # gyro scale, 3
+X_SA: Final = 33  # accelerometer scale, 3
+X_W: Final = 36  # w_ib_b over the last update, corrected, 3
+X_F: Final = 39  # f_b over the last update, corrected, 3
+X_A: Final = 42  # mean acceleration of the last update in n (rate of v_n), 3
+X_PATH: Final = 45  # integral of the odometer point's velocity in v since the last odometer epoch, 3
+X_PT: Final = 48  # and its duration, s
+X_Q0: Final = 49  # q_vb as configured or first found, the reference of the mounting shown, 4
+X_GB: Final = 53  # slowly varying error of the receiver's position in n, 3
+X_ROLL: Final = 56  # variance of the mounting's roll, which no measurement shows
+X_SIZE: Final = 57
 
 # Places in the parameter vector that kernels take.
 P_LG: Final = 0  # lever arm IMU to GNSS antenna in b, 3
@@ -74,4 +76,5 @@ P_VIB_G: Final = 16  # part of the squared difference of two angle increments th
 P_VIB_A: Final = 17  # likewise of velocity increments
 P_Q: Final = 18  # noise densities of the states, ALL
 P_GNSS: Final = P_Q + ALL  # rate at which the receiver's error decays, 1/s
-P_SIZE: Final = P_GNSS + 1
+P_U: Final = P_GNSS + 1  # control vector of the strapdown kernel, U_SIZE
+P_SIZE: Final = P_U + U_SIZE

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Vector = NDArray[np.float64]
 
-TWO_SAMPLE: Final = 2.0 / 3.0
-"""The coefficient of the two-sample algorithm, for coning and for sculling alike."""
+MOST_SAMPLES: Final = 6
+"""Most samples in one update; the coefficients of more than that grow and amplify what sensors round."""
 
 
 def coning_coefficients(samples: int) -> list[Fraction]:
@@ -63,10 +63,30 @@ def rotation_vector(dtheta: ArrayLike) -> Vector:
 def velocity_increment(dtheta: ArrayLike, dv: ArrayLike) -> Vector:
     """Integral of the specific force (3,), m/s, in the body axes at the start of the interval.
 
-    ``dtheta`` (2, 3) rad and ``dv`` (2, 3) m/s are two equal samples. Rotation (half the product of the
-    sums) and sculling: Savage 1998, part 2, eqs. (33) and (56).
+    ``dtheta`` (N, 3) rad and ``dv`` (N, 3) m/s are N >= 1 equal samples. Sculling is coning's counterpart:
+    with one of the two vectors of each product replaced by the velocity increment, and the same
+    coefficients (Savage 1998, part 2, eq. (56) for two samples). The sum so corrected turns with the
+    body as if rate and force were constant in it: Savage 1998, part 2, eq. (37).
     """
     a, u = np.asarray(dtheta, dtype=np.float64), np.asarray(dv, dtype=np.float64)
-    angle, velocity = a[0] + a[1], u[0] + u[1]
-    sculling = TWO_SAMPLE * (np.cross(a[0], u[1]) + np.cross(u[0], a[1]))
-    return np.asarray(velocity + 0.5 * np.cross(angle, velocity) + sculling)
+    phi, eta = rotation_vector(a), u.sum(axis=0)
+    if len(a) > 1:
+        k = coning_coefficients(len(a))
+        for i in range(len(a) - 1):
+            eta = eta + float(k[len(a) - 2 - i]) * (np.cross(a[i], u[-1]) + np.cross(u[i], a[-1]))
+    angle = float(np.linalg.norm(phi))
+    # (1 - cos)/x^2 and (1 - sin/x)/x^2; the first is half the square of sinc(x/2)
+    first = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    second = 1.0 / 6.0 - angle**2 / 120.0 + angle**4 / 5040.0
+    if angle > 0.05:
+        second = (1.0 - math.sin(angle) / angle) / angle**2
+    turned = np.cross(phi, eta)
+    return np.asarray(eta + first * turned + second * np.cross(phi, turned))
+
+
+def coefficient_table() -> Vector:
+    """Coefficients (MOST_SAMPLES + 1, MOST_SAMPLES): row N: those of N samples by separation."""
+    table = np.zeros((MOST_SAMPLES + 1, MOST_SAMPLES))
+    for n in range(2, MOST_SAMPLES + 1):
+        table[n, : n - 1] = [float(k) for k in coning_coefficients(n)]
+    return table

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -10,9 +11,11 @@ from numpy.typing import NDArray
 from nav.earth import EARTH_RATE, curvature, gravity_north, normal_gravity, radii
 from nav.jit import kernel
 from nav.rotation import exponential, multiply
-from nav.strapdown.coning import TWO_SAMPLE
+from nav.strapdown.coning import coefficient_table
+from nav.strapdown.control import U_FREE, U_H, U_KH, U_KV, U_NORTH, U_TURN, U_V, U_WC
 
 Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
 
 # Places of the navigation state at the head of a state vector.
@@ -20,6 +23,8 @@ X_Q: Final = 0  # q_nb, 4
 X_V: Final = 4  # v_n, 3
 X_C: Final = 7  # C_en by rows, 9
 X_H: Final = 16  # height
+X_A_H: Final = 17  # correction of the vertical acceleration by a third-order height channel, m/s^2
+X_HEAD: Final = 18
 
 # Places in the record of the middle of an interval, which the error model is taken at.
 M_C: Final = 0  # C_nb by rows, 9
@@ -31,31 +36,50 @@ M_V: Final = 21  # v_n, 3
 M_G: Final = 24  # 2 g / R
 M_SIZE: Final = 25
 
+_CONING: Final = coefficient_table()
+
 
 @kernel
-def two_sample(d: Vector) -> tuple[float, float, float, float, float, float]:
-    """Rotation vector and velocity increment of ``d`` (12,): dtheta 1, dtheta 2, dv 1, dv 2.
+def increments(d: Vector, n: int, inc: Vector) -> None:
+    """Rotation vector and velocity increment, ``inc`` (6,), of ``n`` = 1 to 6 samples.
 
-    Twin of `coning.rotation_vector` and `coning.velocity_increment`.
+    ``d`` (6 n,): n angle increments (3 each, rad), then n velocity increments (3 each, m/s). Twin of
+    `coning.rotation_vector` and `coning.velocity_increment`.
     """
-    ax, ay, az, bx, by, bz = d[0], d[1], d[2], d[3], d[4], d[5]
-    ux, uy, uz, wx, wy, wz = d[6], d[7], d[8], d[9], d[10], d[11]
-    px = ax + bx + TWO_SAMPLE * (ay * bz - az * by)
-    py = ay + by + TWO_SAMPLE * (az * bx - ax * bz)
-    pz = az + bz + TWO_SAMPLE * (ax * by - ay * bx)
-    sx, sy, sz = ax + bx, ay + by, az + bz
-    vx, vy, vz = ux + wx, uy + wy, uz + wz
-    cx = (ay * wz - az * wy) + (uy * bz - uz * by)
-    cy = (az * wx - ax * wz) + (uz * bx - ux * bz)
-    cz = (ax * wy - ay * wx) + (ux * by - uy * bx)
-    return (
-        px,
-        py,
-        pz,
-        vx + 0.5 * (sy * vz - sz * vy) + TWO_SAMPLE * cx,
-        vy + 0.5 * (sz * vx - sx * vz) + TWO_SAMPLE * cy,
-        vz + 0.5 * (sx * vy - sy * vx) + TWO_SAMPLE * cz,
-    )
+    e, f = 3 * (n - 1), 6 * n - 3
+    bx, by, bz = d[e], d[e + 1], d[e + 2]
+    wx, wy, wz = d[f], d[f + 1], d[f + 2]
+    sx, sy, sz, vx, vy, vz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    cx, cy, cz, gx, gy, gz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n - 1):
+        k = _CONING[n, n - 2 - i]
+        o, p = 3 * i, 3 * (n + i)
+        ax, ay, az = d[o], d[o + 1], d[o + 2]
+        ux, uy, uz = d[p], d[p + 1], d[p + 2]
+        sx, sy, sz = sx + ax, sy + ay, sz + az
+        vx, vy, vz = vx + ux, vy + uy, vz + uz
+        cx += k * (ay * bz - az * by)
+        cy += k * (az * bx - ax * bz)
+        cz += k * (ax * by - ay * bx)
+        gx += k * ((ay * wz - az * wy) + (uy * bz - uz * by))
+        gy += k * ((az * wx - ax * wz) + (uz * bx - ux * bz))
+        gz += k * ((ax * wy - ay * wx) + (ux * by - uy * bx))
+    px, py, pz = sx + bx + cx, sy + by + cy, sz + bz + cz
+    vx, vy, vz = vx + wx + gx, vy + wy + gy, vz + wz + gz
+    a2 = px * px + py * py + pz * pz
+    if a2 < 0.01:
+        # series to the sixth power: truncation below 1e-14
+        first = 0.5 - a2 / 24.0 * (1.0 - a2 / 30.0 * (1.0 - a2 / 56.0))
+        second = (1.0 - a2 / 20.0 * (1.0 - a2 / 42.0 * (1.0 - a2 / 72.0))) / 6.0
+    else:
+        a = math.sqrt(a2)
+        first = (1.0 - math.cos(a)) / a2
+        second = (1.0 - math.sin(a) / a) / a2
+    tx, ty, tz = py * vz - pz * vy, pz * vx - px * vz, px * vy - py * vx
+    inc[0], inc[1], inc[2] = px, py, pz
+    inc[3] = vx + first * tx + second * (py * tz - pz * ty)
+    inc[4] = vy + first * ty + second * (pz * tx - px * tz)
+    inc[5] = vz + first * tz + second * (px * ty - py * tx)
 
 
 @kernel
@@ -87,15 +111,25 @@ def rotate_columns(x: Vector, c: int, rx: float, ry: float, rz: float) -> None:
 
 
 @kernel
-def strapdown(x: Vector, d: Vector, dt: float, mid: Vector) -> None:
+def vertical_rate(u: Vector, ex: float, ey: float, ez: float, h: float, vx: float, vy: float) -> float:
+    """Vertical transport rate (rad/s) at polar axis (ex, ey, ez) in n. Twin of `mechanize.vertical_rate`."""
+    rate = u[U_TURN] - u[U_FREE] * (EARTH_RATE * ez)
+    if u[U_NORTH] != 0.0:
+        _, r_n = radii(ez)
+        rate += u[U_NORTH] * (ez * (ey * vx - ex * vy) / ((ex * ex + ey * ey) * (r_n + h)))
+    return float(rate)
+
+
+@kernel
+def strapdown(x: Vector, inc: Vector, dt: float, u: Vector, mid: Vector) -> None:
     """One navigation update of the state at the head of ``x`` (places X_), in place.
 
-    ``d`` (12,) as in `two_sample`, ``dt`` seconds over both samples. ``mid`` (M_SIZE,) receives what
-    the error model needs. Twin of `mechanize.update`.
+    ``inc`` (6,) of `increments` over ``dt`` seconds; ``u`` (U_SIZE,) the control vector. ``mid`` (M_SIZE,)
+    receives what the error model needs. Twin of `mechanize.update`.
     """
     qw, qx, qy, qz = x[0], x[1], x[2], x[3]
     vx, vy, vz = x[4], x[5], x[6]
-    px, py, pz, bx, by, bz = two_sample(d)
+    px, py, pz, bx, by, bz = inc[0], inc[1], inc[2], inc[3], inc[4], inc[5]
     c00, c01, c02 = (
         qw * qw + qx * qx - qy * qy - qz * qz,
         2.0 * (qx * qy - qw * qz),
@@ -114,44 +148,58 @@ def strapdown(x: Vector, d: Vector, dt: float, mid: Vector) -> None:
     sx = c00 * bx + c01 * by + c02 * bz
     sy = c10 * bx + c11 * by + c12 * bz
     sz = c20 * bx + c21 * by + c22 * bz
+    wcx, wcy, wcz = u[U_WC], u[U_WC + 1], u[U_WC + 2]
+    ox, oy, oz, level, vertical = u[U_V], u[U_V + 1], u[U_V + 2], u[U_KV], u[U_KV + 1]
+    h_ext, k1, k2, k3 = u[U_H], u[U_KH], u[U_KH + 1], u[U_KH + 2]
 
     # middle of the interval
-    ex, ey, ez, h = x[13], x[14], x[15], x[16]
+    half = 0.5 * dt
+    ex, ey, ez, h, a_h = x[13], x[14], x[15], x[16], x[17]
     kxx, kxy, kyy = curvature(ex, ey, ez, h)
     north = gravity_north(ez, 1.0, h)
-    mx = vx + 0.5 * (sx + north * ex * dt)
-    my = vy + 0.5 * (sy + north * ey * dt)
-    mz = vz + 0.5 * (sz - normal_gravity(ez, h) * dt)
-    tx, ty = -kxy * vx - kyy * vy, kxx * vx + kxy * vy
-    half = 0.5 * dt
-    gx, gy, gz = ex - ty * ez * half, ey + tx * ez * half, ez - (tx * ey - ty * ex) * half
-    h_mid = h + half * mz
+    tx, ty, tz = -kxy * vx - kyy * vy, kxx * vx + kxy * vy, vertical_rate(u, ex, ey, ez, h, vx, vy)
+    ux = 2.0 * EARTH_RATE * ex + tx + wcx
+    uy = 2.0 * EARTH_RATE * ey + ty + wcy
+    uz = 2.0 * EARTH_RATE * ez + tz + wcz
+    miss = h - h_ext
+    fall = normal_gravity(ez, h) + vertical * (vz - oz) + k2 * miss + a_h
+    mx = vx + 0.5 * (sx + (north * ex - (uy * vz - uz * vy) - level * (vx - ox)) * dt)
+    my = vy + 0.5 * (sy + (north * ey - (uz * vx - ux * vz) - level * (vy - oy)) * dt)
+    mz = vz + 0.5 * (sz - (fall + (ux * vy - uy * vx)) * dt)
+    gx = ex - (ty * ez - tz * ey) * half
+    gy = ey - (tz * ex - tx * ez) * half
+    gz = ez - (tx * ey - ty * ex) * half
+    h_mid = h + half * (mz - k1 * miss)
+    a_mid = a_h + half * k3 * miss
     kxx, kxy, kyy = curvature(gx, gy, gz, h_mid)
-    tx, ty = -kxy * mx - kyy * my, kxx * mx + kxy * my
+    tx, ty, tz = -kxy * mx - kyy * my, kxx * mx + kxy * my, vertical_rate(u, gx, gy, gz, h_mid, mx, my)
     ix, iy, iz = EARTH_RATE * gx, EARTH_RATE * gy, EARTH_RATE * gz
     north = gravity_north(gz, 1.0, h_mid)
     gravity = normal_gravity(gz, h_mid)
+    miss = h_mid - h_ext
 
     # velocity
-    zx, zy, zz = (ix + tx) * dt, (iy + ty) * dt, iz * dt
-    ux, uy, uz = 2.0 * ix + tx, 2.0 * iy + ty, 2.0 * iz
+    zx, zy, zz = (ix + tx + wcx) * dt, (iy + ty + wcy) * dt, (iz + tz + wcz) * dt
+    ux, uy, uz = 2.0 * ix + tx + wcx, 2.0 * iy + ty + wcy, 2.0 * iz + tz + wcz
     fx = sx - 0.5 * (zy * sz - zz * sy)
     fy = sy - 0.5 * (zz * sx - zx * sz)
     fz = sz - 0.5 * (zx * sy - zy * sx)
-    nx = vx + fx + (north * gx - (uy * mz - uz * my)) * dt
-    ny = vy + fy + (north * gy - (uz * mx - ux * mz)) * dt
-    nz = vz + fz + (-gravity - (ux * my - uy * mx)) * dt
+    fall = gravity + vertical * (mz - oz) + k2 * miss + a_mid
+    nx = vx + fx + (north * gx - (uy * mz - uz * my) - level * (mx - ox)) * dt
+    ny = vy + fy + (north * gy - (uz * mx - ux * mz) - level * (my - oy)) * dt
+    nz = vz + fz + (-fall - (ux * my - uy * mx)) * dt
 
     # position
     ax, ay = 0.5 * (vx + nx), 0.5 * (vy + ny)
-    h_new = h + 0.5 * (vz + nz) * dt
-    kxx, kxy, kyy = curvature(gx, gy, gz, 0.5 * (h + h_new))
-    tx, ty = -kxy * ax - kyy * ay, kxx * ax + kxy * ay
-    rotate_columns(x, X_C, tx * dt, ty * dt, 0.0)
-    x[4], x[5], x[6], x[16] = nx, ny, nz, h_new
+    h_new = h + (0.5 * (vz + nz) - k1 * miss) * dt
+    h_mean = 0.5 * (h + h_new)
+    kxx, kxy, kyy = curvature(gx, gy, gz, h_mean)
+    tx, ty, tz = -kxy * ax - kyy * ay, kxx * ax + kxy * ay, vertical_rate(u, gx, gy, gz, h_mean, ax, ay)
+    rotate_columns(x, X_C, tx * dt, ty * dt, tz * dt)
+    x[4], x[5], x[6], x[16], x[17] = nx, ny, nz, h_new, a_h + k3 * miss * dt
 
     # attitude
-    aw, ai, aj, ak = exponential(-(ix + tx) * dt, -(iy + ty) * dt, -iz * dt)
+    aw, ai, aj, ak = exponential(-(ix + tx + wcx) * dt, -(iy + ty + wcy) * dt, -(iz + tz + wcz) * dt)
     rw, ri, rj, rk = multiply(aw, ai, aj, ak, qw, qx, qy, qz)
     aw, ai, aj, ak = exponential(px, py, pz)
     rw, ri, rj, rk = multiply(rw, ri, rj, rk, aw, ai, aj, ak)
@@ -165,8 +213,36 @@ def strapdown(x: Vector, d: Vector, dt: float, mid: Vector) -> None:
     mid[6], mid[7], mid[8] = c20 + c21 * hz - c22 * hy, c21 + c22 * hx - c20 * hz, c22 + c20 * hy - c21 * hx
     mid[9], mid[10], mid[11] = fx / dt, fy / dt, fz / dt
     mid[12], mid[13], mid[14] = ix, iy, iz
-    mid[15], mid[16], mid[17] = tx, ty, 0.0
+    mid[15], mid[16], mid[17] = tx, ty, tz
     mid[18], mid[19], mid[20] = kxx, kxy, kyy
     mid[21], mid[22], mid[23] = ax, ay, 0.5 * (vz + nz)
     r_m, r_n = radii(gz)
     mid[24] = 2.0 * gravity / (np.sqrt(r_m * r_n) + h_mid)
+
+
+@kernel
+def integrate(
+    x: Vector, samples: Matrix, dt_sample: float, n: int, u: Vector, every: int, out: Matrix
+) -> int:
+    """Navigate through ``samples`` (M, 6), ``n`` of them an update; returns the number of rows stored.
+
+    A sample is an angle increment (rad) and a velocity increment (m/s) over ``dt_sample`` seconds; samples
+    that do not fill an update are left. ``u`` (U_SIZE,) holds for all of them. After every ``every``-th
+    update the head of ``x`` is stored in the next row of ``out`` (rows, X_HEAD), while there is one.
+    """
+    d = np.empty(6 * n)
+    inc = np.empty(6)
+    mid = np.empty(M_SIZE)
+    rows = 0
+    for k in range(samples.shape[0] // n):
+        for i in range(n):
+            for j in range(3):
+                d[3 * i + j] = samples[k * n + i, j]
+                d[3 * (n + i) + j] = samples[k * n + i, 3 + j]
+        increments(d, n, inc)
+        strapdown(x, inc, n * dt_sample, u, mid)
+        if (k + 1) % every == 0 and rows < out.shape[0]:
+            for j in range(X_HEAD):
+                out[rows, j] = x[j]
+            rows += 1
+    return rows

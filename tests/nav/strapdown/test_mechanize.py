@@ -7,47 +7,104 @@ import pytest
 
 from nav import earth
 from nav import rotation as rot
-from nav.strapdown.kernels import M_SIZE, X_C, X_H, X_Q, X_V, strapdown
+from nav.strapdown.azimuth import AZIMUTH_LAWS, azimuth_control
+from nav.strapdown.control import U_SIZE, control
+from nav.strapdown.kernels import (
+    M_SIZE,
+    X_A_H,
+    X_C,
+    X_H,
+    X_HEAD,
+    X_Q,
+    X_V,
+    increments,
+    integrate,
+    strapdown,
+)
 from nav.strapdown.mechanize import NavState, frame_rates, update
 from tests.nav.truth import Drive
 
 
 def pack(state):
-    return np.concatenate([state.q_nb, state.v_n, state.C_en.ravel(), [state.height]])
+    return np.concatenate(
+        [state.q_nb, state.v_n, state.C_en.ravel(), [state.height, state.height_correction]]
+    )
 
 
-def state_of(x):
-    return NavState(x[:4].copy(), x[4:7].copy(), x[X_C : X_C + 9].reshape(3, 3).copy(), float(x[X_H]))
+NO_CONTROL = np.zeros(U_SIZE)
 
 
-PLACES = [
-    (0.8, 0.3, 0.5, 500.0),
-    (-0.2, -3.0, 0.0, 20000.0),
-    (math.pi / 2, 0.0, 1.0, 0.0),
-    (-1.5707, 2.0, 2.0, -100.0),
-]
+def two(x, d, dt, mid):
+    """One undamped wander update of two samples ``d`` (12,)."""
+    inc = np.zeros(6)
+    increments(d, 2, inc)
+    strapdown(x, inc, dt, NO_CONTROL, mid)
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_kernel_is_the_twin(place):
-    rng = np.random.default_rng(3)
-    q = rot.quat_from_rotvec(rng.normal(size=3))
-    s = NavState(q, np.array([200.0, -120.0, 5.0]), earth.position_matrix(*place[:3]), place[3])
-    x, mid = pack(s), np.zeros(M_SIZE)
-    for _ in range(200):
-        d = np.concatenate([rng.normal(size=6) * 0.02, rng.normal(size=6) * 0.2])
-        strapdown(x, d, 0.01, mid)
-        s = update(s, d[:6].reshape(2, 3), d[6:].reshape(2, 3), 0.01)
-        y = pack(s)
-        assert np.all(np.abs(x - y) <= 1e-12 * np.maximum(1.0, np.abs(y)))
-
-
-def run(x, dtheta, dv, dt):
-    """Kernel over samples (count, 3), two at a time; ``dt`` of one sample."""
-    mid = np.zeros(M_SIZE)
-    for k in range(0, len(dtheta) - 1, 2):
-        strapdown(x, np.concatenate([dtheta[k], dtheta[k + 1], dv[k], dv[k + 1]]), 2 * dt, mid)
+def run(x, dtheta, dv, dt, n=2, u=NO_CONTROL):
+    """Kernel over samples (count, 3), ``n`` at a time; ``dt`` of one sample."""
+    integrate(x, np.hstack([dtheta, dv]), dt, n, u, 1, np.zeros((0, X_HEAD)))
     return x
+
+
+PLACES = {
+    "middle": (0.8, 0.3, 0.5, 500.0),
+    "high": (-0.2, -3.0, 0.0, 20000.0),
+    "pole": (math.pi / 2, 0.0, 1.0, 0.0),
+    "near": (-1.5707, 2.0, 2.0, -100.0),
+}
+CONTROLS = {
+    "none": {},
+    "turned": {"w_c": (1e-3, -2e-3, 5e-4)},
+    "damped": {"velocity": (190.0, -110.0, 1.0), "velocity_gains": (0.3, 0.1)},
+    "height": {"height": 450.0, "height_gains": (0.1, 3e-3, 1e-4)},
+}
+
+
+@pytest.mark.parametrize("law", AZIMUTH_LAWS)
+@pytest.mark.parametrize("n", range(1, 7))
+@pytest.mark.parametrize("fed", CONTROLS)
+def test_kernel_is_the_twin(law, n, fed):
+    rng = np.random.default_rng(3)
+    u = azimuth_control(law, 2e-3 if AZIMUTH_LAWS[law].turns else 0.0) + control(**CONTROLS[fed])
+    for name, place in PLACES.items():
+        if law == "north" and name in {"pole", "near"}:
+            continue
+        q = rot.quat_from_rotvec(rng.normal(size=3))
+        s = NavState(q, np.array([200.0, -120.0, 5.0]), earth.position_matrix(*place[:3]), place[3], 1e-3)
+        x, mid, inc = pack(s), np.zeros(M_SIZE), np.zeros(6)
+        for _ in range(25):
+            a, v = rng.normal(size=(n, 3)) * 0.02, rng.normal(size=(n, 3)) * 0.2
+            increments(np.concatenate([a.ravel(), v.ravel()]), n, inc)
+            strapdown(x, inc, 0.01, u, mid)
+            s = update(s, a, v, 0.01, u)
+            y = pack(s)
+            assert np.all(np.abs(x - y) <= 1e-12 * np.maximum(1.0, np.abs(y)))
+        frame = frame_rates(s.C_en[2], s.height, s.v_n, u)
+        np.testing.assert_allclose(mid[15:18], frame.w_en_n, rtol=0.02, atol=1e-7)
+
+
+def test_no_control_is_the_default():
+    rng = np.random.default_rng(4)
+    a, v = rng.normal(size=(2, 3)) * 0.02, rng.normal(size=(2, 3)) * 0.2
+    s = NavState(np.array([1.0, 0, 0, 0]), np.ones(3), earth.position_matrix(0.3, 0.2), 10.0)
+    np.testing.assert_array_equal(pack(update(s, a, v, 0.01)), pack(update(s, a, v, 0.01, NO_CONTROL)))
+
+
+def test_rows_are_stored_as_asked():
+    drive = Drive()
+    lat, lon, h, v_g, C_gb = drive.geodetic(0.0)
+    start = pack(NavState(rot.quat_from_dcm(C_gb), v_g, earth.position_matrix(lat, lon), h))
+    samples = np.hstack(drive.increments(100, 0.005))
+    x, out = start.copy(), np.full((8, X_HEAD), np.nan)
+    # 33 updates of three samples; one sample is left
+    assert integrate(x, samples, 0.005, 3, NO_CONTROL, 5, out) == 6
+    assert np.isfinite(out[:6]).all()
+    assert np.isnan(out[6:]).all()
+    y = start.copy()
+    integrate(y, samples[:90], 0.005, 3, NO_CONTROL, 1, np.zeros((0, X_HEAD)))
+    np.testing.assert_array_equal(out[5], y)
+    assert x[X_A_H] == 0.0
 
 
 def test_rest_stays_at_rest():
@@ -61,7 +118,7 @@ def test_rest_stays_at_rest():
     dv = -C_gb.T @ earth.gravity_g(lat, h) * dt
     d = np.concatenate([dtheta, dtheta, dv, dv])
     for _ in range(3600 * 25):
-        strapdown(x, d, 2 * dt, mid)
+        two(x, d, 2 * dt, mid)
     # the vertical channel grows as cosh(sqrt(2 g/R) t), 400 in an hour; 1e-9 m/s^2 of g rounding, second
     # order in the update for the constant turn of b
     assert np.linalg.norm(x[X_V : X_V + 2]) < 1e-6
@@ -87,7 +144,7 @@ def test_accelerometer_bias_swings_with_schuler_period():
     dv = np.array([bias, 0.0, g]) * dt
     d = np.concatenate([dtheta, dtheta, dv, dv])
     for k in range(1, round(2 * math.pi / w_s / (2 * dt)) + 1):
-        strapdown(x, d, 2 * dt, mid)
+        two(x, d, 2 * dt, mid)
         x[X_H], x[X_V + 2] = 0.0, 0.0
         if k % 200 == 0:
             t = k * 2 * dt
@@ -99,7 +156,7 @@ def test_free_fall_is_a_keplerian_radial_arc():
     s = NavState(np.array([1.0, 0, 0, 0]), np.zeros(3), earth.position_matrix(math.pi / 2, 0.0), 10_000.0)
     x, mid = pack(s), np.zeros(M_SIZE)
     for _ in range(1000):
-        strapdown(x, np.zeros(12), 0.01, mid)
+        two(x, np.zeros(12), 0.01, mid)
     u, w = np.polynomial.legendre.leggauss(8)
     top, bottom = 10_000.0, float(x[X_H])
     h = bottom + (u + 1) * (top - bottom) / 2
@@ -126,7 +183,7 @@ def level_flight(lat, lon, heading, speed, height, seconds, dt):
         w = (f.w_ie_n + f.w_en_n) * dt
         a = (np.cross(2 * f.w_ie_n + f.w_en_n, v) - f.gravity_n) * dt
         # b keeps to n, so its increments are those of n
-        strapdown(x, np.concatenate([w, w, a, a]), 2 * dt, mid)
+        two(x, np.concatenate([w, w, a, a]), 2 * dt, mid)
     return x
 
 
