@@ -194,6 +194,15 @@ def position_matrix(lat: float, lon: float, wander: float = 0.0) -> Matrix:
     return np.asarray(C_eg @ C_gn)
 
 
+def position_quat(lat: ArrayLike, lon: ArrayLike) -> Vector:
+    """q_eg (..., 4): east-north-up at ``lat``, ``lon`` (...) rad to Earth-fixed e. Groves, eq. (2.150)."""
+    # about the polar axis to the meridian's east, then about east until up stands on the ellipsoid
+    a = 0.5 * np.asarray(lon, np.float64) + 0.25 * np.pi
+    b = 0.25 * np.pi - 0.5 * np.asarray(lat, np.float64)
+    sa, ca, sb, cb = np.sin(a), np.cos(a), np.sin(b), np.cos(b)
+    return np.stack(np.broadcast_arrays(ca * cb, ca * sb, sa * sb, sa * cb), axis=-1)
+
+
 def position_angles(C_en: ArrayLike) -> tuple[float, float, float]:
     """Latitude, longitude and wander angle (rad) of a position matrix C_en (3, 3).
 

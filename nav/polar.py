@@ -14,10 +14,10 @@ eqs. (27) to (29); Greenaway and Gates, "Polar Air Navigation", 2009). Position 
 Transverse: latitude and longitude of the ellipsoid's normal against an Earth turned over, axes t: the
 transverse pole is where the equator meets 90 deg east, the transverse equator is the meridian of 0 and
 180 deg, and transverse longitude counts from the north pole towards Greenwich. ``x_t = z_e``,
-``y_t = x_e``, ``z_t = y_e``, so ``sin L_t = cos L sin lon`` and ``tan lon_t = cos L cos lon / sin L``. These are angles of the normal
-to the WGS-84 ellipsoid, not of a sphere, so the point on the ground is exactly that of latitude and longitude
-(transverse output as in Zhao Wangyang et al. 2021, section 6; the ellipsoid as in Yao, Journal of Navigation
-69, 2016, 335-352). Transverse north is grid east.
+``y_t = x_e``, ``z_t = y_e``, so ``sin L_t = cos L sin lon`` and ``tan lon_t = cos L cos lon / sin L``.
+These are angles of the normal to the WGS-84 ellipsoid, not of a sphere, so the point on the ground is exactly
+that of latitude and longitude (transverse output as in Zhao Wangyang et al. 2021, section 6; the ellipsoid
+as in Yao, Journal of Navigation 69, 2016, 335-352). Transverse north is grid east.
 
 Grid and transverse directions have no meaning at the transverse poles, on the equator, as true north has none
 at the poles; what is returned there is consistent all the same in the transverse frame.

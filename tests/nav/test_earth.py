@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nav import earth
+from nav import earth, rotation
 
 LATS = st.floats(-math.pi / 2, math.pi / 2)
 LONS = st.floats(-math.pi, math.pi)
@@ -132,3 +132,9 @@ def test_earth_rate():
     lat = 0.8
     w_e = earth.position_matrix(lat, 1.0) @ earth.earth_rate_g(lat)
     np.testing.assert_allclose(w_e, [0.0, 0.0, 7.292115e-5], atol=1e-19)
+
+
+@given(lat=st.floats(-math.pi / 2, math.pi / 2), lon=st.floats(-math.pi, math.pi))
+def test_position_quaternion_is_the_position_matrix(lat, lon):
+    C_eg = rotation.dcm_from_quat(earth.position_quat(lat, lon))
+    assert np.abs(C_eg - earth.position_matrix(lat, lon)).max() < 1e-15
