@@ -5,6 +5,9 @@ to the solution's point when they differ. Solutions are interpolated to the inst
 (position by a cubic through both ends with their velocities, velocity linearly, attitude along the
 shortest turn), which at 100 Hz costs less than a millimetre; instants with no solution within
 `MAX_GAP_NS` on both sides are left out. Truth taken at the very instants of solutions costs nothing.
+
+All of it goes through Earth-fixed axes, so no meridian is special: neither where they meet nor where
+longitude starts again.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ from numpy.typing import NDArray
 
 from bridge.outputs import SolutionOut
 from nav import rotation
-from nav.earth import E2, SEMI_MAJOR, earth_rate_g
+from nav.earth import earth_rate_g, ecef, geodetic, position_quat
 from nav.types import Mode, S, SolutionFlag
 
 Array = NDArray[np.float64]
@@ -71,14 +74,19 @@ class TruthTable:
         w_ie_g = np.array([earth_rate_g(lat) for lat in self.lat]).reshape(-1, 3)
         w_ev_v = self.w_iv_v - rotation.quat_rotate(rotation.quat_conjugate(self.q_gv), w_ie_g)
         swing = rotation.quat_rotate(self.q_gv, np.cross(w_ev_v, lever))
-        r_m, r_n = _radii(self.lat)
+        q_eg = position_quat(self.lat, self.lon)
+        lat, lon, height = geodetic(
+            ecef(self.lat, self.lon, self.height) + rotation.quat_rotate(q_eg, offset)
+        )
+        # a metre away the local axes are others, next to a pole by much
+        q_pg = rotation.quat_multiply(rotation.quat_conjugate(position_quat(lat, lon)), q_eg)
         return TruthTable(
             self.t_ns,
-            self.lat + offset[:, 1] / (r_m + self.height),
-            self.lon + offset[:, 0] / ((r_n + self.height) * np.cos(self.lat)),
-            self.height + offset[:, 2],
-            self.v_g + swing,
-            self.q_gv,
+            lat,
+            lon,
+            height,
+            rotation.quat_rotate(q_pg, self.v_g + swing),
+            rotation.quat_multiply(q_pg, self.q_gv),
             self.w_iv_v,
         )
 
@@ -145,35 +153,26 @@ class SolutionTable:
         x = np.where(step_ns > 0, (t_ns - self.t_ns[left]) * 1e-9 / dt, 0.0)[:, None]
         a, b = self.state[left], self.state[right]
         state = a + x * (b - a)
-        state[:, :3] = _hermite(a, b, x, dt[:, None])
-        q_a, q_b = a[:, S.Q], b[:, S.Q]
-        turn = rotation.rotvec_from_quat(rotation.quat_multiply(rotation.quat_conjugate(q_a), q_b))
-        state[:, S.Q] = rotation.quat_multiply(q_a, rotation.quat_from_rotvec(x * turn))
+        _interpolate(state, a, b, x, dt[:, None])
         table = SolutionTable(np.asarray(t_ns), self.mode[left], self.flags[left] & self.flags[right], state)
         return table.where(usable), usable
 
 
-def _radii(lat: Array) -> tuple[Array, Array]:
-    """Radii of curvature (R_M, R_N), m. Groves, eqs. (2.105) and (2.106)."""
-    w2 = 1.0 - E2 * np.sin(lat) ** 2
-    return SEMI_MAJOR * (1.0 - E2) / w2**1.5, SEMI_MAJOR / np.sqrt(w2)
-
-
-def _hermite(a: Array, b: Array, x: Array, dt: Array) -> Array:
-    """Latitude, longitude, height (n, 3) at the fraction ``x`` (n, 1) between two states (n, `S.SIZE`)."""
-
-    def rates(state: Array) -> Array:
-        r_m, r_n = _radii(state[:, S.LAT])
-        v, height = state[:, S.V], state[:, S.HEIGHT]
-        lon_rate = v[:, 0] / ((r_n + height) * np.cos(state[:, S.LAT]))
-        return np.stack((v[:, 1] / (r_m + height), lon_rate, v[:, 2]), axis=1)
-
-    start, end = a[:, :3], b[:, :3].copy()
-    end[:, 1] = start[:, 1] + _wrapped(end[:, 1] - start[:, 1])
-    rise = end - start
-    from_a, from_b = rates(a) * dt, rates(b) * dt
-    bend = x * (1.0 - x) * ((1.0 - x) * (from_a - rise) - x * (from_b - rise))
-    return np.asarray(start + x * rise + bend)
+def _interpolate(state: Array, a: Array, b: Array, x: Array, dt: Array) -> None:
+    """Position, velocity and attitude of ``state`` at the fraction ``x`` (n, 1) of ``dt`` s from a to b."""
+    q_ea, q_eb = (position_quat(end[:, S.LAT], end[:, S.LON]) for end in (a, b))
+    r_a, r_b = (ecef(end[:, S.LAT], end[:, S.LON], end[:, S.HEIGHT]) for end in (a, b))
+    v_a, v_b = rotation.quat_rotate(q_ea, a[:, S.V]), rotation.quat_rotate(q_eb, b[:, S.V])
+    rise = r_b - r_a
+    bend = x * (1.0 - x) * ((1.0 - x) * (v_a * dt - rise) - x * (v_b * dt - rise))
+    lat, lon, height = geodetic(r_a + x * rise + bend)
+    q_ge = rotation.quat_conjugate(position_quat(lat, lon))
+    q_a, q_b = rotation.quat_multiply(q_ea, a[:, S.Q]), rotation.quat_multiply(q_eb, b[:, S.Q])
+    turn = rotation.rotvec_from_quat(rotation.quat_multiply(rotation.quat_conjugate(q_a), q_b))
+    q = rotation.quat_multiply(q_a, rotation.quat_from_rotvec(x * turn))
+    state[:, S.LAT], state[:, S.LON], state[:, S.HEIGHT] = lat, lon, height
+    state[:, S.V] = rotation.quat_rotate(q_ge, v_a + x * (v_b - v_a))
+    state[:, S.Q] = rotation.quat_multiply(q_ge, q)
 
 
 def _wrapped(angle: Array) -> Array:
@@ -184,8 +183,9 @@ def _wrapped(angle: Array) -> Array:
 class Errors:
     """Solution minus truth at n instants, with the solution's own sigmas.
 
-    ``position`` m, ``velocity`` m/s and ``attitude`` rad (rotation vector), all (n, 3) east, north, up;
-    ``heading`` (n,) rad, NaN where not valid.
+    ``position`` m, ``velocity`` m/s and ``attitude`` rad (rotation vector), all (n, 3) east, north, up of
+    the solution's place, to which its sigmas belong too; ``heading`` (n,) rad, NaN where not valid.
+    Directions are compared as they are, not by their bearings from the norths of two places.
     """
 
     t_ns: Epochs
@@ -203,18 +203,21 @@ def errors(solutions: SolutionTable, truth: TruthTable) -> Errors:
     found, usable = solutions.navigating().at(truth.t_ns)
     state = found.state
     lat, lon, height = truth.lat[usable], truth.lon[usable], truth.height[usable]
-    r_m, r_n = _radii(lat)
-    east = _wrapped(state[:, S.LON] - lon) * (r_n + height) * np.cos(lat)
-    north = (state[:, S.LAT] - lat) * (r_m + height)
-    up = state[:, S.HEIGHT] - height
-    q_true = truth.q_gv[usable]
+    q_ge = rotation.quat_conjugate(position_quat(state[:, S.LAT], state[:, S.LON]))
+    apart_e = ecef(state[:, S.LAT], state[:, S.LON], state[:, S.HEIGHT]) - ecef(lat, lon, height)
+    position = rotation.quat_rotate(q_ge, apart_e)
+    position[:, 2] = state[:, S.HEIGHT] - height
+    # of the turn between the local axes of the two places only that about the vertical: level stays level
+    twist = rotation.quat_multiply(q_ge, position_quat(lat, lon)) * np.array([1.0, 0.0, 0.0, 1.0])
+    twist = rotation.quat_normalize(twist)
+    q_true = rotation.quat_multiply(twist, truth.q_gv[usable])
     q_error = rotation.quat_multiply(state[:, S.Q], rotation.quat_conjugate(q_true))
     heading = _heading(state[:, S.Q]) - _heading(q_true)
     valid = (found.flags & SolutionFlag.HEADING) != 0
     return Errors(
         t_ns=found.t_ns,
-        position=np.stack((east, north, up), axis=1),
-        velocity=state[:, S.V] - truth.v_g[usable],
+        position=position,
+        velocity=state[:, S.V] - rotation.quat_rotate(twist, truth.v_g[usable]),
         attitude=rotation.rotvec_from_quat(q_error),
         heading=np.where(valid, _wrapped(heading), np.nan),
         sigma_position=state[:, S.SIGMA_P],
