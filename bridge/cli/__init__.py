@@ -37,6 +37,7 @@ COMMANDS: Final[dict[str, Command]] = {
     "inspect": Command("bridge.cli.inspect", "say what is in a capture and what looks wrong"),
     "decode": Command("bridge.cli.decode", "add decoded channels to a capture"),
     "campaign": Command("bridge.cli.campaign", "simulate many runs and compare errors with sigmas"),
+    "figures": Command("bridge.cli.figures", "reproduce published figures with the program's own kernels"),
     "busload": Command("bridge.cli.busload", "compute the load of the default messages on a bus"),
 }
 

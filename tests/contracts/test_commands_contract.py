@@ -24,6 +24,7 @@ OTHERS = {
     "sim": ["nowhere"],
     "import": ["candump", "nothing.log", "--config", "bench", "--out", "out.mcap"],
     "campaign": ["static", "--scenario", "nowhere", "--runs", "2", "--jobs", "1"],
+    "figures": ["nowhere"],
     "busload": ["--bitrate", "1", "--json"],
 }
 """A command line of each other command that cannot be done."""
