@@ -28,7 +28,8 @@ from bridge.plots.style import (
     thin,
     time_axis,
 )
-from nav.earth import E2, SEMI_MAJOR
+from nav.earth import ecef, position_quat
+from nav.rotation import quat_conjugate, quat_rotate
 from nav.types import S, SolutionFlag
 
 _DEG: Final = 180.0 / np.pi
@@ -50,11 +51,10 @@ _BODY: Final = ("right (x)", "forward (y)", "up (z)")
 
 
 def _plane(lat: Array, lon: Array, lat0: float, lon0: float) -> tuple[Array, Array]:
-    """East and north of a reference, m, on the ellipsoid's radii there."""
-    w2 = 1.0 - E2 * np.sin(lat0) ** 2
-    r_m, r_n = SEMI_MAJOR * (1.0 - E2) / w2**1.5, SEMI_MAJOR / np.sqrt(w2)
-    turn = (lon - lon0 + np.pi) % (2.0 * np.pi) - np.pi
-    return turn * r_n * np.cos(lat0), (lat - lat0) * r_m
+    """East and north, m, in the plane that touches the ellipsoid at a reference; no meridian is special."""
+    apart_e = ecef(lat, lon, 0.0) - ecef(lat0, lon0, 0.0)
+    apart = quat_rotate(quat_conjugate(position_quat(lat0, lon0)), apart_e)
+    return apart[..., 0], apart[..., 1]
 
 
 def _angles(q_gv: Array) -> tuple[Array, Array, Array]:
