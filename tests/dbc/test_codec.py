@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import timeit
@@ -13,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dbc
-from dbc.codec import Contract, MessageCodec, SignalInfo, contract, load
+from dbc.codec import Contract, MessageCodec, SignalInfo, contract, load, parse
 
 DBC_FILE = Path(dbc.__file__).parent / "navbridge.dbc"
 ORACLE = cantools.database.load_file(DBC_FILE)
@@ -203,3 +204,19 @@ def test_check_and_decode_are_faster_than_the_parser_alone() -> None:
     ours = min(timeit.repeat(lambda: (codec.crc_ok(frame), codec.decode(frame)), number=1000, repeat=9))
     theirs = min(timeit.repeat(lambda: message.decode(frame, decode_choices=False), number=1000, repeat=9))
     assert ours < theirs
+
+
+@settings(max_examples=60)
+@given(st.data())
+def test_a_damaged_file_is_a_contract_or_a_value_error(data: st.DataObject) -> None:
+    text = bytearray(contract().text)
+    begin = data.draw(st.integers(0, len(text)))
+    end = data.draw(st.integers(begin, min(len(text), begin + 200)))
+    text[begin:end] = data.draw(st.binary(max_size=20))
+    with contextlib.suppress(ValueError):
+        assert isinstance(parse(bytes(text), "some.dbc"), Contract)
+
+
+def test_an_error_names_the_file() -> None:
+    with pytest.raises(ValueError, match=r"^some\.dbc: it holds no CAN messages"):
+        parse(b'VERSION ""\n', "some.dbc")
