@@ -13,11 +13,12 @@ from bridge.drivers.base import Context
 from bridge.drivers.can_frames import bad_frame
 from bridge.drivers.counters import Counters
 from bridge.drivers.device_clock import ClockPort
+from bridge.drivers.imu_assembly import FRAME_BYTES, assemble, layout
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
 from nav.imu.pulses import compensate
-from nav.types import ImuFlag, ImuSample
+from nav.types import ImuFlag, ImuSample, Vector
 
 _FAULT_OR_TEST: Final = 0b011  # bits of STATUS
 _PLAUSIBLE: Final = 5.0  # an interval beyond this many times the nominal one, either way, is not one
@@ -25,6 +26,9 @@ _SATURATED: Final = int(ImuFlag.SATURATED)
 _FAULT: Final = int(ImuFlag.DEVICE_FAULT)
 _BRIDGED: Final = int(ImuFlag.BRIDGED)
 _GAP: Final = int(ImuFlag.GAP)
+
+# frames of a sample that wait for the others: none, the first, two; or the sample is done frame by frame
+_NONE, _GYRO, _BOTH, _SINGLY = range(4)
 
 
 class ImuCanOptions(DeviceOptions, kw_only=True):
@@ -55,11 +59,16 @@ class _Stream:
 
 class ImuCan:
     """Ties the frames of a sample by ALIVE, finds what is missing by SAMPLE and device time,
-    compensates."""
+    compensates.
+
+    Gyros, accelerometers and time that come in this order are kept back until they are three, and go
+    through one kernel. Whatever else comes, or comes in another way, is taken frame by frame, which gives
+    the same samples and counts.
+    """
 
     def __init__(self, options: ImuCanOptions, context: Context) -> None:
         file = read_calibration(context.files[options.calibration], options.calibration)
-        self.counters = Counters()
+        self._counters = Counters()
         self._name = context.name
         self._table = file.calibration.table()
         self._serial = file.serial
@@ -82,7 +91,16 @@ class ImuCan:
         self._classic = _Stream(8, context.port(2**32 * 1000, options.latency_ms))
         self._fd = _Stream(16, context.port(2**48 * 1000, options.latency_ms))
 
-        # the sample being put together; -1: nothing yet
+        # the usual case: what is kept back, and what the kernel reads and writes
+        self._layout = layout((self._gyro_codec, self._accel_codec, self._time_codec))
+        self._kept = _SINGLY if self._layout is None else _NONE
+        self._wire = bytearray(3 * FRAME_BYTES)
+        self._wire_view = np.frombuffer(self._wire, dtype=np.uint8)
+        self._counts = np.zeros(6)
+        self._last_us = 0
+        self._kept_gyro = self._kept_accel = b""
+
+        # the sample being put together frame by frame; -1: nothing yet
         self._gyro_alive = self._accel_alive = -1
         self._gyro: tuple[float, ...] = ()
         self._accel: tuple[float, ...] = ()
@@ -93,16 +111,79 @@ class ImuCan:
         self._last_sample = 0
         self._gap = False
         # compiled here, before a bus is opened
-        compensate(self._table, np.zeros(6), 1.0 / options.rate_hz, np.empty(3), np.empty(3))
+        compensate(self._table, self._counts, 1.0 / options.rate_hz, np.empty(3), np.empty(3))
+        if self._layout is not None:
+            self._assemble(np.empty(3), np.empty(3))
+
+    @property
+    def counters(self) -> Counters:
+        """What it counts; frames that are kept back are looked at first."""
+        self._release()
+        return self._counters
 
     def feed(self, frame: RawFrame) -> Sequence[ImuSample]:
         """The sample that ``frame`` completes, after those made up for a short gap before it."""
         _, rx_ns, _, key, data = frame
-        self.counters.frames += 1
+        self._counters.frames += 1
+        kept = self._kept
+        if key == self._gyro_key:
+            if kept == _NONE and len(data) == FRAME_BYTES:
+                self._kept = _GYRO
+                self._kept_gyro = data
+                return ()
+        elif key == self._accel_key:
+            if kept == _GYRO and len(data) == FRAME_BYTES:
+                self._kept = _BOTH
+                self._kept_accel = data
+                return ()
+        elif key == self._time_key:
+            if kept == _BOTH and len(data) == FRAME_BYTES:
+                samples = self._whole(data, rx_ns)
+                if samples is not None:
+                    return samples
+        elif key == self._status_key:
+            return self._feed_status(data)
+        self._release()
+        samples = self._single(key, data, rx_ns)
+        if self._layout is not None:
+            self._kept = _NONE if self._gyro_alive < 0 and self._accel_alive < 0 else _SINGLY
+        return samples
+
+    def _whole(self, data: bytes, rx_ns: int) -> Sequence[ImuSample] | None:
+        """The sample of the frames kept back and ``data``; None where it is not a usual one."""
+        gyro, accel = self._kept_gyro, self._kept_accel
+        self._wire[:] = gyro + accel + data
+        dtheta, dv = np.empty(3), np.empty(3)
+        alive, saturated, status, sample, time_us, tau = self._assemble(dtheta, dv)
+        if alive < 0 or alive == self._done_alive:
+            return None
+        self._kept = _NONE
+        self._done_alive = alive
+        self._gyro_data, self._accel_data, self._time_data = gyro, accel, data
+        flags = _SATURATED if saturated else 0
+        head, made = (status, sample, time_us), (tau, dtheta, dv)
+        return self._sample(self._classic, head, self._counts, flags, rx_ns, made)
+
+    def _assemble(self, dtheta: Vector, dv: Vector) -> tuple[int, int, int, int, int, float]:
+        assert self._layout is not None
+        return assemble(self._wire_view, self._layout, self._table, self._last_us, self._counts, dtheta, dv)
+
+    def _release(self) -> None:
+        """Take what is kept back frame by frame."""
+        kept = self._kept
+        if kept in (_GYRO, _BOTH):
+            self._kept = _SINGLY
+            self._single(self._gyro_key, self._kept_gyro, 0)
+            if kept == _BOTH:
+                self._single(self._accel_key, self._kept_accel, 0)
+
+    def _single(self, key: int, data: bytes, rx_ns: int) -> Sequence[ImuSample]:
+        """One frame by itself."""
+        counters = self._counters
         if key == self._gyro_key:
             codec = self._gyro_codec
             if not codec.crc_ok(data):
-                bad_frame(codec, data, self.counters)
+                bad_frame(codec, data, counters)
                 return ()
             alive = codec.alive(data)
             if alive == self._done_alive:
@@ -116,7 +197,7 @@ class ImuCan:
         if key == self._accel_key:
             codec = self._accel_codec
             if not codec.crc_ok(data):
-                bad_frame(codec, data, self.counters)
+                bad_frame(codec, data, counters)
                 return ()
             alive = codec.alive(data)
             if alive == self._done_alive:
@@ -125,51 +206,48 @@ class ImuCan:
             self._accel_alive = alive
             self._accel_data = data
             return ()
-        if key == self._time_key:
-            codec = self._time_codec
-            if not codec.crc_ok(data):
-                bad_frame(codec, data, self.counters)
-                return ()
-            alive = codec.alive(data)
-            if alive == self._done_alive:
-                return self._repeated(data, self._time_data)
-            whole = self._gyro_alive == alive == self._accel_alive
-            self._gyro_alive = self._accel_alive = -1
-            self._done_alive = alive
-            self._time_data = data
-            if not whole:
-                return self.counters.reject(Reject.INCOMPLETE)
-            status, sample, _, time_us = codec.decode(data)
-            gyro, accel = self._gyro, self._accel
-            flags = 0
-            if gyro[0] or gyro[1] or gyro[2] or accel[0] or accel[1] or accel[2]:
-                flags = _SATURATED
-            counts = (*gyro[3:], *accel[3:])
-            return self._sample(self._classic, counts, flags, int(status), int(sample), int(time_us), rx_ns)
         if key == self._fd_key:
             return self._feed_fd(data, rx_ns)
-        return self._feed_status(data)
+        codec = self._time_codec
+        if not codec.crc_ok(data):
+            bad_frame(codec, data, counters)
+            return ()
+        alive = codec.alive(data)
+        if alive == self._done_alive:
+            return self._repeated(data, self._time_data)
+        whole = self._gyro_alive == alive == self._accel_alive
+        self._gyro_alive = self._accel_alive = -1
+        self._done_alive = alive
+        self._time_data = data
+        if not whole:
+            return counters.reject(Reject.INCOMPLETE)
+        status, sample, _, time_us = codec.decode(data)
+        gyro, accel = self._gyro, self._accel
+        flags = _SATURATED if any(gyro[:3]) or any(accel[:3]) else 0
+        counts = np.array((*gyro[3:], *accel[3:]), dtype=np.float64)
+        head = (int(status), int(sample), int(time_us))
+        return self._sample(self._classic, head, counts, flags, rx_ns)
 
     def _repeated(self, data: bytes, before: bytes) -> tuple[()]:
         """Count a frame whose counter is that of the sample given out last: sent again, or stuck."""
         if data == before:
-            self.counters.duplicates += 1
+            self._counters.duplicates += 1
         else:
-            self.counters.reject(Reject.COUNTER)
+            self._counters.reject(Reject.COUNTER)
         return ()
 
     def _superseded(self, alive: int, same: bool) -> None:
         if alive != self._gyro_alive:
-            self.counters.reject(Reject.INCOMPLETE)
+            self._counters.reject(Reject.INCOMPLETE)
         elif same:
-            self.counters.duplicates += 1
+            self._counters.duplicates += 1
         else:
-            self.counters.reject(Reject.COUNTER)
+            self._counters.reject(Reject.COUNTER)
 
     def _feed_fd(self, data: bytes, rx_ns: int) -> Sequence[ImuSample]:
         codec = self._fd_codec
         if not codec.crc_ok(data):
-            bad_frame(codec, data, self.counters)
+            bad_frame(codec, data, self._counters)
             return ()
         alive = codec.alive(data)
         if alive == self._done_alive:
@@ -180,12 +258,13 @@ class ImuCan:
         flags = _SATURATED if any(values[:6]) else 0
         sample, time_us, _, status, _, serial = values[12:]
         self._check_serial(int(serial))
-        return self._sample(self._fd, values[6:12], flags, int(status), int(sample), int(time_us), rx_ns)
+        counts = np.array(values[6:12], dtype=np.float64)
+        return self._sample(self._fd, (int(status), int(sample), int(time_us)), counts, flags, rx_ns)
 
     def _feed_status(self, data: bytes) -> tuple[()]:
         codec = self._status_codec
         if not codec.crc_ok(data):
-            bad_frame(codec, data, self.counters)
+            bad_frame(codec, data, self._counters)
         else:
             self._check_serial(int(codec.decode(data)[2]))
         return ()
@@ -195,19 +274,24 @@ class ImuCan:
             return
         self._serial_checked = True
         if serial != self._serial:
-            self.counters.notes.append(f"serial number {serial}, but the calibration is for {self._serial}")
+            self._counters.notes.append(f"serial number {serial}, but the calibration is for {self._serial}")
 
     def _sample(
         self,
         stream: _Stream,
-        counts: tuple[float, ...],
+        head: tuple[int, int, int],
+        counts: Vector,
         flags: int,
-        status: int,
-        sample: int,
-        time_us: int,
         rx_ns: int,
+        made: tuple[float, Vector, Vector] | None = None,
     ) -> Sequence[ImuSample]:
-        counters = self.counters
+        """The sample of ``counts`` (6,) with those made up before it; ``head`` is STATUS, SAMPLE, TIME.
+
+        ``made`` is an interval with the increments over it, which are taken where it is the right one.
+        """
+        counters = self._counters
+        status, sample, time_us = head
+        self._last_us = time_us
         last = self._last
         t_ns = stream.port.stamp(time_us * 1000, rx_ns)
         elapsed = stream.port.elapsed_ns
@@ -243,9 +327,11 @@ class ImuCan:
             counters.reject(Reject.SATURATED)
 
         dt = interval * 1e-9
-        dtheta = np.empty(3)
-        dv = np.empty(3)
-        compensate(self._table, np.array(counts, dtype=np.float64), dt, dtheta, dv)
+        if made is None:
+            made = (0.0, np.empty(3), np.empty(3))
+        tau, dtheta, dv = made
+        if dt != tau:
+            compensate(self._table, counts, dt, dtheta, dv)
 
         samples: list[ImuSample] = []
         if steps > 1 and last is not None:
@@ -274,14 +360,14 @@ class ImuCan:
             if step <= modulus // 2 and elapsed < step * _PLAUSIBLE * self._period_ns:
                 return step
         if step != 1:
-            self.counters.reject(Reject.COUNTER)  # the counter jumped; time says how much is missing
+            self._counters.reject(Reject.COUNTER)  # the counter jumped; time says how much is missing
         return by_time
 
     def _between(
         self, last: ImuSample, t_ns: int, dt: float, dtheta: np.ndarray, dv: np.ndarray, steps: int
     ) -> list[ImuSample]:
         """Samples on the straight line from the one before a gap to the one after it."""
-        self.counters.bridged += steps - 1
+        self._counters.bridged += steps - 1
         made = []
         for i in range(1, steps):
             weight = i / steps

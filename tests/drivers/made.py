@@ -7,7 +7,7 @@ import math
 from bridge.drivers.base import Context
 from bridge.drivers.device_clock import DeviceClock
 from bridge.frame import RawFrame
-from dbc.codec import contract
+from dbc.codec import Contract, contract
 
 CALIBRATION = b"""
 [device]
@@ -21,9 +21,13 @@ ARCSEC = math.radians(1.0 / 3600.0)
 
 
 def context(
-    name: str = "dev", files: dict[str, bytes] | None = None, clock: DeviceClock | None = None
+    name: str = "dev",
+    files: dict[str, bytes] | None = None,
+    clock: DeviceClock | None = None,
+    messages: Contract | None = None,
 ) -> Context:
-    return Context(name, 1, "test.toml", files or {"cal.toml": CALIBRATION}, clock or DeviceClock())
+    files = files or {"cal.toml": CALIBRATION}
+    return Context(name, 1, "test.toml", files, clock or DeviceClock(), messages or contract())
 
 
 def can(message: str, alive: int, *values: float, rx_ns: int = 0, offset: int = 0) -> RawFrame:

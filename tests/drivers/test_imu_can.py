@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from bridge.drivers.imu_can import ImuCan, ImuCanOptions
 from bridge.frame import RawFrame
+from dbc.codec import Contract
 from nav.types import ImuFlag, ImuSample
 from tests.drivers.made import ARCSEC, CALIBRATION, can, context, flipped, rejects
 
@@ -18,7 +19,7 @@ PERIOD_US = 5000
 FIRST_US = 2**32 - 12 * PERIOD_US  # wraps on the way
 
 
-def driver(**options: object) -> ImuCan:
+def driver(messages: Contract | None = None, **options: object) -> ImuCan:
     table = {
         "driver": "imu_can",
         "source": "can0",
@@ -27,7 +28,8 @@ def driver(**options: object) -> ImuCan:
         "latency_ms": 0.26,
         **options,
     }
-    return ImuCan(ImuCanOptions(**table), context("imu", {"cal.toml": CALIBRATION}))  # type: ignore[arg-type]
+    made = context("imu", {"cal.toml": CALIBRATION}, messages=messages)
+    return ImuCan(ImuCanOptions(**table), made)  # type: ignore[arg-type]
 
 
 def three(k: int, gyro: int = 10, status: int = 0, sat: int = 0) -> list[RawFrame]:

@@ -17,7 +17,7 @@ def compiled():
     return {
         (name, thing.__name__): len(thing.signatures)
         for name, module in list(sys.modules.items())
-        if name.split(".")[0] == "nav"
+        if name.split(".")[0] in ("nav", "bridge")
         for thing in vars(module).values()
         if isinstance(thing, CPUDispatcher)
     }
