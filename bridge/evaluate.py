@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from bridge.outputs import SolutionOut
 from nav import rotation
-from nav.earth import earth_rate_g, ecef, geodetic, position_quat
+from nav.earth import convergence, earth_rate_g, ecef, geodetic, position_quat
 from nav.types import Mode, S, SolutionFlag
 
 Array = NDArray[np.float64]
@@ -208,8 +208,8 @@ def errors(solutions: SolutionTable, truth: TruthTable) -> Errors:
     position = rotation.quat_rotate(q_ge, apart_e)
     position[:, 2] = state[:, S.HEIGHT] - height
     # of the turn between the local axes of the two places only that about the vertical: level stays level
-    twist = rotation.quat_multiply(q_ge, position_quat(lat, lon)) * np.array([1.0, 0.0, 0.0, 1.0])
-    twist = rotation.quat_normalize(twist)
+    about_up = -convergence(lat, lon, state[:, S.LAT], state[:, S.LON])[:, None] * np.array([0.0, 0.0, 1.0])
+    twist = rotation.quat_from_rotvec(about_up)
     q_true = rotation.quat_multiply(twist, truth.q_gv[usable])
     q_error = rotation.quat_multiply(state[:, S.Q], rotation.quat_conjugate(q_true))
     heading = _heading(state[:, S.Q]) - _heading(q_true)

@@ -203,6 +203,20 @@ def position_quat(lat: ArrayLike, lon: ArrayLike) -> Vector:
     return np.stack(np.broadcast_arrays(ca * cb, ca * sb, sa * sb, sa * cb), axis=-1)
 
 
+def convergence(lat_a: ArrayLike, lon_a: ArrayLike, lat_b: ArrayLike, lon_b: ArrayLike) -> Vector:
+    """By how much (...), rad in (-pi, pi], a bearing grows that is carried from place a to place b (rad).
+
+    The turn about the vertical between the two east-north-up frames, without that which keeps each level:
+    ``tan(c/2) = tan(dlon/2) sin((L_a + L_b)/2) / cos((L_b - L_a)/2)``, from q_gg' of `position_quat`. Exact
+    at and across a pole and the date line.
+    """
+    lat_a, lat_b = np.asarray(lat_a, np.float64), np.asarray(lat_b, np.float64)
+    half = 0.5 * (np.asarray(lon_b, np.float64) - np.asarray(lon_a, np.float64))
+    sine = np.sin(half) * np.sin(0.5 * (lat_a + lat_b))
+    angle = 2.0 * np.arctan2(sine, np.cos(half) * np.cos(0.5 * (lat_b - lat_a)))
+    return np.asarray(angle - 2.0 * np.pi * np.ceil(angle / (2.0 * np.pi) - 0.5))
+
+
 def position_angles(C_en: ArrayLike) -> tuple[float, float, float]:
     """Latitude, longitude and wander angle (rad) of a position matrix C_en (3, 3).
 

@@ -22,8 +22,8 @@ import numpy as np
 from nav.align.level import UNKNOWN_HEADING, rotate_heading
 from nav.align.preintegrate import P_ACCEL, P_GYRO, V_ACCEL, V_GYRO, P, R, V, empty, running
 from nav.align.types import AlignConfig, NavInit
-from nav.earth import earth_rate_g, gravity_g, radii
-from nav.rotation import dcm_from_quat, quat_from_rotvec
+from nav.earth import convergence, earth_rate_g, ecef, gravity_g, position_quat
+from nav.rotation import dcm_from_quat, quat_conjugate, quat_from_rotvec, quat_rotate
 from nav.types import GnssFix, SpeedSample, Vector
 
 SMALLEST_EXCITATION: Final = 0.5  # m/s rms of integrated specific force about its mean
@@ -73,16 +73,22 @@ class Window:
 
 
 def local(fixes: list[GnssFix]) -> Vector:
-    """Positions (K, 3) m east, north, up of the first fix."""
+    """Positions (K, 3) m east, north, up of the first fix; up is the difference of heights."""
     first = fixes[0]
-    r_m, r_n = radii(math.sin(first.lat))
-    east = (r_n + first.height) * math.cos(first.lat)
-    return np.array(
-        [
-            ((f.lon - first.lon) * east, (f.lat - first.lat) * (r_m + first.height), f.height - first.height)
-            for f in fixes
-        ]
-    )
+    place = np.array([(f.lat, f.lon, f.height) for f in fixes])
+    apart_e = ecef(*place.T) - ecef(first.lat, first.lon, first.height)
+    apart = quat_rotate(quat_conjugate(position_quat(first.lat, first.lon)), apart_e)
+    apart[:, 2] = place[:, 2] - first.height
+    return apart
+
+
+def velocities(fixes: list[GnssFix]) -> Vector:
+    """Velocities (K, 3) m/s of fixes that have one, along east and north as they are at the first, and up."""
+    place = np.array([(f.lat, f.lon) for f in fixes])
+    turn = convergence(place[:, 0], place[:, 1], *place[0])
+    c, s = np.cos(turn), np.sin(turn)
+    east, north, up = np.array([f.v_g for f in fixes]).T
+    return np.stack([c * east + s * north, c * north - s * east, up], axis=1)
 
 
 def skew(rows: Vector) -> Vector:
@@ -116,7 +122,7 @@ def solve(window: Window) -> Fit | None:
     by_velocity = all(f.v_g is not None for f in fixes)
     t = np.array([(f.t_ns - fixes[0].t_ns) * 1e-9 for f in fixes])
     if by_velocity:
-        measured = np.array([f.v_g for f in fixes])
+        measured = velocities(fixes)
         claimed = np.array([f.sigma_velocity for f in fixes])
         floor, lever = VELOCITY_FLOOR, np.cross(rates, config.gnss_lever_arm)
         t_v = t - config.gnss_velocity_age

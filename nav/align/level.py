@@ -14,7 +14,7 @@ import numpy as np
 
 from nav.align.preintegrate import DT, R, empty, extend, sample_piece
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
-from nav.earth import EARTH_RATE, normal_gravity
+from nav.earth import EARTH_RATE, ecef, normal_gravity
 from nav.rotation import quat_from_dcm, quat_multiply
 from nav.types import GnssFix, ImuFlag, ImuSample, Sample, Vector
 
@@ -163,9 +163,8 @@ def gnss_speed(fix: GnssFix, anchor: GnssFix | None) -> tuple[float | None, Gnss
         return None, fix
     if dt < 1.0:
         return None, anchor
-    north = (fix.lat - anchor.lat) * 6.37e6
-    east = (fix.lon - anchor.lon) * 6.37e6 * math.cos(fix.lat)
-    return math.hypot(north, east) / dt, fix
+    apart = ecef(fix.lat, fix.lon, 0.0) - ecef(anchor.lat, anchor.lon, 0.0)
+    return float(np.linalg.norm(apart)) / dt, fix
 
 
 def level_dcm(f_b: Vector) -> Vector:

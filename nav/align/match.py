@@ -13,13 +13,13 @@ from typing import Final
 import numpy as np
 
 from nav.align.driven import solve_driven
-from nav.align.fit import POSITION_FLOOR, VELOCITY_FLOOR, Epoch, Fit, Window, local, skew, solve
+from nav.align.fit import POSITION_FLOOR, VELOCITY_FLOOR, Epoch, Fit, Window, local, skew, solve, velocities
 from nav.align.level import UNKNOWN_HEADING
 from nav.align.mounting import Mounting, find_mounting, mounting_from_axis
 from nav.align.preintegrate import DT, R_GYRO, SIZE, V_ACCEL, V_GYRO, P, R, V, empty, extend, sample_piece
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
-from nav.earth import earth_rate_g, gravity_g, radii
-from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_multiply
+from nav.earth import convergence, earth_rate_g, ecef, gravity_g, position_quat, xyz_to_geodetic
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_multiply, quat_rotate
 from nav.types import GnssFix, ImuFlag, ImuSample, Sample, SpeedSample, Vector
 
 LONGEST_SILENCE: Final = 10.0  # s without a fix before starting again
@@ -157,7 +157,7 @@ def _mounting(window: Window, fit: Fit) -> Mounting | None:
     rates = np.array([e.rate for e in window.epochs])
     fixes = [e.fix for e in window.epochs]
     if all(f.v_g is not None for f in fixes):
-        v = np.array([f.v_g for f in fixes])
+        v = velocities(fixes)
     else:
         v = (
             fit.x[6:9]
@@ -228,23 +228,24 @@ def finish(state: Match) -> NavInit:
         sigma_fix = np.hypot(last.sigma_velocity, VELOCITY_FLOOR)
         since = (total_fix[V] - fit.rows[-2][V]) / (total_fix[DT] - fit.rows[-2][DT])
         aged = config.gnss_velocity_age * (fit.C @ since + g)
-        v_fix = last.v_g + aged - C_fix @ np.cross(rate, config.gnss_lever_arm) + C_fix @ after[V] + dt * g
+        said = velocities([epochs[0].fix, last])[1]
+        v_fix = said + aged - C_fix @ np.cross(rate, config.gnss_lever_arm) + C_fix @ after[V] + dt * g
         v = np.where(sigma_fix < sigma_fit, v_fix, v)
     v_before = v - C_fix @ after[V] - dt * g
     step_g = v_before * dt + C_fix @ after[P] + 0.5 * dt**2 * g - l_g
-    r_m, r_n = radii(math.sin(last.lat))
-    return _hand_over(
-        state,
-        fit,
-        total,
-        C_end,
-        v,
-        (
-            last.lat + float(step_g[1]) / (r_m + last.height),
-            last.lon + float(step_g[0]) / ((r_n + last.height) * math.cos(last.lat)),
-            last.height + float(step_g[2]),
-        ),
-    )
+    # all of this is along east and north as they were at the window's first fix
+    first = epochs[0].fix
+    step_g = _about_up(float(convergence(first.lat, first.lon, last.lat, last.lon))) @ step_g
+    q_eg = position_quat(last.lat, last.lon)
+    place = xyz_to_geodetic(*(ecef(last.lat, last.lon, last.height) + quat_rotate(q_eg, step_g)))
+    turned = _about_up(float(convergence(first.lat, first.lon, place[0], place[1])))
+    return _hand_over(state, fit, total, C_end, v, place, turned)
+
+
+def _about_up(angle: float) -> Vector:
+    """Components (3, 3) along axes whose bearings are larger by ``angle`` rad."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _velocity_covariance(fit: Fit, total: Vector) -> Vector:
@@ -270,11 +271,20 @@ def _end_jacobian(fit: Fit, total: Vector) -> Vector:
 
 
 def _hand_over(
-    state: Match, fit: Fit, total: Vector, C: Vector, v: Vector, place: tuple[float, float, float]
+    state: Match,
+    fit: Fit,
+    total: Vector,
+    C: Vector,
+    v: Vector,
+    place: tuple[float, float, float],
+    turned: Vector,
 ) -> NavInit:
+    """What `finish` gives; ``turned`` (3, 3) takes axes of ``C``, ``v``, ``fit`` to those at ``place``."""
     window = state.window
     config, given, last = window.config, window.given, window.epochs[-1].fix
     J = _end_jacobian(fit, total)
+    for part in (slice(0, 3), slice(3, 6), slice(6, 9)):
+        J[part] = turned @ J[part]
     cov = J @ fit.cov @ J.T
     sigma_p = np.hypot(np.asarray(last.sigma_position), POSITION_FLOOR)
     floor = np.full(3, VELOCITY_FLOOR)
@@ -295,8 +305,8 @@ def _hand_over(
         lat=place[0],
         lon=place[1],
         height=place[2],
-        v_g=v,
-        q_gb=quat_from_dcm(C),
+        v_g=turned @ v,
+        q_gb=quat_from_dcm(turned @ C),
         P_phi=cov[6:9, 6:9].copy(),
         sigma_v=sigma[3:6],
         sigma_p=sigma[0:3],

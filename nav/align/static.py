@@ -22,8 +22,16 @@ from nav.align.fit import skew
 from nav.align.preintegrate import DT
 from nav.align.still import Still
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
-from nav.earth import EARTH_RATE, earth_rate_g, gravity_g, normal_gravity, radii
-from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec
+from nav.earth import (
+    EARTH_RATE,
+    earth_rate_g,
+    ecef,
+    gravity_g,
+    normal_gravity,
+    position_quat,
+    xyz_to_geodetic,
+)
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_rotate
 from nav.types import ImuSample, Sample, Vector
 
 SIGMAS: Final = 6.0
@@ -325,10 +333,8 @@ def fine_finish(state: Fine) -> NavInit:
             lat, lon, height = (float(value) for value in still.place)
             sigma_p = still.sigma_place
         l_g = state.C @ config.gnss_lever_arm
-        r_m, r_n = radii(math.sin(lat))
-        lon -= float(l_g[0]) / ((r_n + height) * math.cos(lat))
-        lat -= float(l_g[1]) / (r_m + height)
-        height -= float(l_g[2])
+        r_e = ecef(lat, lon, height) - quat_rotate(position_quat(lat, lon), l_g)
+        lat, lon, height = xyz_to_geodetic(*r_e)
     # the block just closed ends at the last sample
     return _nav_init(config, still.t_ns, (lat, lon, height), sigma_p, state.C, state.x, state.P)
 

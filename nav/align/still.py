@@ -110,12 +110,13 @@ def aid(still: Still, sample: object) -> tuple[Still, str | None]:
     sigma = float(np.max(sigma_p)) if claimed is None else float(np.max(claimed))
     if speed is not None and speed > DROVE + SIGMAS * sigma:
         return still._replace(anchor=anchor), f"the vehicle drives: {speed:.1f} m/s by GNSS"
-    place = np.array([sample.lat, sample.lon, sample.height])
+    step = np.array([sample.lat, sample.lon, sample.height]) - still.place
+    step[1] = math.remainder(step[1], 2.0 * math.pi)  # on the date line
     n = still.fixes + 1
     # each fix errs in its own way here; what they have in common is added where it is configured
     return still._replace(
         anchor=anchor,
-        place=still.place + (place - still.place) / n,
+        place=still.place + step / n,
         sigma_place=sigma_p / math.sqrt(n),
         fixes=n,
     ), None

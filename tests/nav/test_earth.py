@@ -138,3 +138,26 @@ def test_earth_rate():
 def test_position_quaternion_is_the_position_matrix(lat, lon):
     C_eg = rotation.dcm_from_quat(earth.position_quat(lat, lon))
     assert np.abs(C_eg - earth.position_matrix(lat, lon)).max() < 1e-15
+
+
+@given(lat=LATS, lon=LONS, other=LATS, east=LONS)
+def test_convergence_is_the_turn_between_two_level_frames(lat, lon, other, east):
+    turn = rotation.quat_multiply(
+        rotation.quat_conjugate(earth.position_quat(other, east)), earth.position_quat(lat, lon)
+    )
+    if math.hypot(turn[0], turn[3]) < 1e-6:  # the other end of the Earth: any turn will do
+        return
+    # counter-clockwise components, clockwise bearings
+    expected = -2.0 * math.atan2(turn[3], turn[0])
+    found = float(earth.convergence(lat, lon, other, east))
+    assert abs(found) <= math.pi
+    assert math.remainder(found - expected, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_convergence_by_examples():
+    assert earth.convergence(0.8, 0.2, 0.8, 0.2 + 1e-5) == pytest.approx(1e-5 * math.sin(0.8))
+    # straight over the pole true north becomes true south; along a meridian nothing changes
+    assert abs(earth.convergence(1.5, 0.3, 1.5, 0.3 - math.pi)) == pytest.approx(math.pi)
+    assert earth.convergence(0.3, 0.5, 1.2, 0.5) == 0.0
+    # over the date line
+    assert earth.convergence(0.8, math.pi - 1e-5, 0.8, -math.pi) == pytest.approx(1e-5 * math.sin(0.8))

@@ -24,9 +24,10 @@ from nav.align.preintegrate import (
     extend,
     sample_piece,
 )
-from nav.earth import earth_rate_g, gravity_g, radii
+from nav.earth import earth_rate_g, geodetic_to_xyz, gravity_g, position_quat, radii
 from nav.rotation import dcm_from_euler, dcm_from_quat, quat_from_dcm, rotvec_from_quat
 from nav.types import FixType, GnssFix, ImuFlag, ImuSample, SpeedSample
+from tests.nav import truth as closed_form
 
 LAT, LON, HEIGHT = math.radians(40.1), math.radians(-105.1), 1600.0
 DT = 0.02
@@ -337,3 +338,28 @@ def test_a_push_before_driving_off_keeps_the_level_and_standing_again_renews_it(
     phi, _, _ = errors(init, truth)
     assert init.rest_rate is not None  # it has been at rest
     assert np.all(np.abs(phi) < 4.0 * np.sqrt(np.diag(init.P_phi)))
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon"), [(0.8, 0.2), (0.8, math.pi - 1e-6), (math.pi / 2 - 2e-5, 0.5), (math.pi / 2 - 5e-6, -3.0)]
+)
+def test_no_meridian_is_special(lat, lon):
+    """A drive in figures of eight in mid latitude, across the date line, and at the pole, without noise."""
+    ride = closed_form.Drive(lat=lat, lon=lon, sway=0.0, nod=0.0)
+    config = AlignConfig(5e-7, 2e-3, 3e-6, 4e-4, sigma_heading=math.radians(0.3), C_vb=np.eye(3))
+    samples = []
+    for k, sample in enumerate(closed_form.samples(*ride.increments(2000, DT), DT), start=1):
+        samples.append(sample)
+        if k % 10 == 0:
+            samples.append(closed_form.fix(ride, k * DT - 0.004, sigma_v=(0.03, 0.03, 0.03)))
+    init, refusals = align(samples, config)
+    assert init is not None
+    assert not refusals
+    t = np.array(init.t_ns * 1e-9)
+    C_ge = dcm_from_quat(position_quat(init.lat, init.lon)).T
+    r_e = np.array(geodetic_to_xyz(init.lat, init.lon, init.height))
+    # two seconds' worth of what the fit leaves out: the Earth's curvature and turning
+    assert np.abs(C_ge @ (r_e - ride.position(t))).max() < 0.05
+    assert np.abs(init.v_g - C_ge @ ride.velocity_e(t)).max() < 0.02
+    phi = rotvec_from_quat(quat_from_dcm(C_ge @ ride.C_eb(t) @ dcm_from_quat(init.q_gb).T))
+    assert np.abs(phi).max() < math.radians(0.1)
