@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from nav.align import ALIGNMENTS, NavInit, Run, advance, begin, result
-from nav.earth import geodetic_to_xyz
 from nav.events import AlignmentProgress, ModeChange, NavEvent, Notice, Refusal
+from nav.filter.aiding import Aiding
 from nav.filter.history import Timeline
 from nav.filter.initial import initial_state
 from nav.filter.mounting import MountingSearch, settle
@@ -57,6 +57,7 @@ class Navigator:
         self.config = config
         self.mode = Mode.STANDBY
         self._timeline = Timeline(config.states, parameters(config), config.lockout, config.replay_updates)
+        self._aiding = Aiding(config, self._timeline)
         self._standstill = Standstill(config)
         self._events: list[NavEvent] = []
         self._runs: list[Run] = []
@@ -66,14 +67,8 @@ class Navigator:
         self._gap_ns: int | None = None
         self._rest_ns: int | None = None
         self._degraded: str | None = None
-        self._mounted = False
         self._search = MountingSearch()
         self._flags = 0
-        self._path_ns = 0
-        self._odo_start_ns = 0
-        self._odo_ns: int | None = None
-        self._odo_distance = 0.0
-        self._odo_duration = 0.0
 
     # ---- commands ------------------------------------------------------------------------------
 
@@ -171,7 +166,7 @@ class Navigator:
 
     def _navigate(self, init: NavInit, reason: str) -> None:
         self._runs = []
-        x, P, self._mounted = initial_state(init, self.config)
+        x, P, mounted = initial_state(init, self.config)
         self._timeline.begin(init.t_ns, x, P)
         self._timeline.rest[:] = 0.0
         self._standstill = Standstill(self.config, init)
@@ -180,8 +175,7 @@ class Navigator:
         self._imu_ns = init.t_ns
         self._check_ns = init.t_ns
         self._gap_ns = self._rest_ns = self._degraded = None
-        self._path_ns = init.t_ns
-        self._odo_ns = None
+        self._aiding.begin(init.t_ns, mounted)
         self._flags = int(_ALIGNED)
         self._change(init.t_ns, Mode.NAVIGATE, reason)
 
@@ -220,7 +214,7 @@ class Navigator:
             self._check(t, row)
         if self._timeline.rest[0] >= self.config.rest_interval - 1e-6:
             self._interval(t, row[S.V], float(row[19]))
-        if not self._mounted:
+        if not self._aiding.mounted:
             row[S.SIGMA_MOUNTING] = math.pi
         self._events.append(Solution(t, self.mode, self._flags, row))
 
@@ -281,94 +275,37 @@ class Navigator:
             if s.fix_type < FixType.FIX_3D:
                 self._events.append(Refusal(s.t_ns, s.device, "invalid"))
                 return
-            used = self._gnss(s)
+            used = self._aiding.gnss(s)
         elif isinstance(s, OdoSample):
-            self._odometer(s)
+            rest = self._standstill.odometer(s)
+            if rest is not None:
+                self._at_rest(rest)
+            self._aiding.odometer(s)
         elif isinstance(s, SpeedSample):
-            sigma = max(s.sigma, self.config.odometer_sigma)
-            if self._mounted:
-                used = self._timeline.measure("speed", s.t_ns, np.array([0.0, s.speed, sigma]))
+            used = self._aiding.speed(s)
         elif isinstance(s, BaroSample):
-            used = self._timeline.measure("barometer", s.t_ns, np.array([0.0, s.height, s.sigma]))
+            used = self._aiding.barometer(s)
         if not used:
             self._events.append(Refusal(s.t_ns, s.device, "stale"))
-
-    def _gnss(self, s: GnssFix) -> bool:
-        config = self.config
-        z = np.zeros(7)
-        z[1:4] = geodetic_to_xyz(s.lat, s.lon, s.height)
-        horizontal, vertical = config.gnss_correlated
-        slow = np.array([horizontal, horizontal, vertical])
-        white = np.sqrt(np.maximum(np.square(s.sigma_position) - slow**2, 0.0))
-        z[4:7] = np.maximum(white, config.gnss_position_floor)
-        used = self._timeline.measure("gnss_position", s.t_ns, z)
-        if used and s.v_g is not None and s.sigma_velocity is not None:
-            z = np.zeros(7)
-            z[1:4] = s.v_g
-            z[4:7] = np.maximum(s.sigma_velocity, config.gnss_velocity_floor)
-            self._timeline.measure("gnss_velocity", s.t_ns - round(config.gnss_velocity_age * 1e9), z)
-        return used
-
-    def _odometer(self, s: OdoSample) -> None:
-        rest = self._standstill.odometer(s)
-        if rest is not None:
-            self._at_rest(rest)
-        if not self._mounted:
-            return
-        config = self.config
-        start = s.t_ns - round(s.dt * 1e9)
-        if self._odo_ns is None or abs(start - self._odo_ns) > 20_000_000:
-            # the first, or after missing ones: begin an interval where this sample begins
-            self._odo_start_ns = start
-            self._odo_distance = self._odo_duration = 0.0
-            self._restart_path(start)
-        self._odo_ns = s.t_ns
-        self._odo_distance += s.distance
-        self._odo_duration += s.dt
-        duration = (s.t_ns - self._odo_start_ns) * 1e-9
-        if duration < config.odometer_interval - 1e-3:
-            return
-        sigma = math.hypot(config.odometer_sigma, 0.41 * config.odometer_quantum / duration)
-        distance = self._odo_distance * duration / self._odo_duration
-        self._timeline.measure("odometer", s.t_ns, np.array([0.0, duration, distance, sigma]))
-        self._sideways(s.t_ns, duration)
-        self._odo_start_ns = s.t_ns
-        self._odo_distance = self._odo_duration = 0.0
-        self._restart_path(s.t_ns)
-
-    def _sideways(self, t: int, duration: float) -> None:
-        sigma = self.config.non_holonomic
-        if sigma is not None:
-            self._timeline.measure("non_holonomic", t, np.array([0.0, duration, sigma]))
-
-    def _restart_path(self, t: int) -> None:
-        self._timeline.restart_path(t)
-        self._path_ns = t
 
     # ---- every tenth of a second ---------------------------------------------------------------
 
     def _check(self, t: int, row: Vector) -> None:
         config, timeline = self.config, self._timeline
-        if not self._mounted:
+        if not self._aiding.mounted:
             mounting = self._search.look(row)
             if mounting is not None:
                 timeline.act(t, settle(mounting))
-                self._mounted = True
-                self._path_ns = t
+                self._aiding.settled(t)
                 self._events.append(Notice(t, "mounting of the IMU in the vehicle found"))
-        if self._mounted and config.non_holonomic is not None:
-            without = t - self._path_ns
-            patience = 3.0 * config.odometer_interval if config.odometer else config.non_holonomic_interval
-            if without >= (patience - 0.01) * 1e9:
-                self._sideways(t, without * 1e-9)
-                self._restart_path(t)
+        self._aiding.check(t)
 
         gnss = max(timeline.last_accepted("gnss_position"), timeline.last_accepted("gnss_velocity"))
         wheel = max(timeline.last_accepted("odometer"), timeline.last_accepted("speed"))
         flags = _ALIGNED
         if row[24] < config.heading_limit:
             flags |= SolutionFlag.HEADING
-        if self._mounted:
+        if self._aiding.mounted:
             flags |= SolutionFlag.MOUNTING
         if timeline.used("gnss_position", "gnss_velocity") and t - gnss < _RECENT_NS:
             flags |= SolutionFlag.GNSS

@@ -1,0 +1,117 @@
+"""From samples of aids to measurements on the timeline."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from nav.earth import geodetic_to_xyz
+from nav.filter.history import Timeline
+from nav.filter.settings import NavigatorConfig
+from nav.types import BaroSample, GnssFix, OdoSample, SpeedSample
+
+_JOIN_NS: Final = 20_000_000  # samples of the odometer that are this far apart do not follow each other
+
+
+class Aiding:
+    """Enters what aids say; owns the odometer's open interval and the path that it is compared with.
+
+    The functions that take a sample return whether it was still in time. ``mounted``: whether it is known
+    how the IMU sits in the vehicle; before that nothing that speaks of vehicle axes is used.
+    """
+
+    def __init__(self, config: NavigatorConfig, timeline: Timeline) -> None:
+        self._config = config
+        self._timeline = timeline
+        self.mounted = False
+        self._path_ns = 0
+        self._start_ns = 0
+        self._end_ns: int | None = None
+        self._distance = 0.0
+        self._duration = 0.0
+
+    def begin(self, t_ns: int, mounted: bool) -> None:
+        """Start afresh with the navigation at ``t_ns``."""
+        self.mounted = mounted
+        self._path_ns = t_ns
+        self._end_ns = None
+
+    def settled(self, t_ns: int) -> None:
+        """The mounting is known from ``t_ns`` on."""
+        self.mounted = True
+        self._path_ns = t_ns
+
+    def gnss(self, s: GnssFix) -> bool:
+        """Enter the position of a fix, and its velocity when it has one."""
+        config = self._config
+        z = np.zeros(7)
+        z[1:4] = geodetic_to_xyz(s.lat, s.lon, s.height)
+        horizontal, vertical = config.gnss_correlated
+        slow = np.array([horizontal, horizontal, vertical])
+        white = np.sqrt(np.maximum(np.square(s.sigma_position) - slow**2, 0.0))
+        z[4:7] = np.maximum(white, config.gnss_position_floor)
+        used = self._timeline.measure("gnss_position", s.t_ns, z)
+        if used and s.v_g is not None and s.sigma_velocity is not None:
+            z = np.zeros(7)
+            z[1:4] = s.v_g
+            z[4:7] = np.maximum(s.sigma_velocity, config.gnss_velocity_floor)
+            self._timeline.measure("gnss_velocity", s.t_ns - round(config.gnss_velocity_age * 1e9), z)
+        return used
+
+    def speed(self, s: SpeedSample) -> bool:
+        """Enter a speed."""
+        if not self.mounted:
+            return True
+        sigma = max(s.sigma, self._config.odometer_sigma)
+        return self._timeline.measure("speed", s.t_ns, np.array([0.0, s.speed, sigma]))
+
+    def barometer(self, s: BaroSample) -> bool:
+        """Enter a height."""
+        return self._timeline.measure("barometer", s.t_ns, np.array([0.0, s.height, s.sigma]))
+
+    def odometer(self, s: OdoSample) -> None:
+        """Gather a distance; at the end of an interval enter it, and that the wheels did not slide."""
+        if not self.mounted:
+            return
+        config = self._config
+        start = s.t_ns - round(s.dt * 1e9)
+        if self._end_ns is None or abs(start - self._end_ns) > _JOIN_NS:
+            # the first, or after missing ones: begin an interval where this sample begins
+            self._start_ns = start
+            self._distance = self._duration = 0.0
+            self._restart_path(start)
+        self._end_ns = s.t_ns
+        self._distance += s.distance
+        self._duration += s.dt
+        duration = (s.t_ns - self._start_ns) * 1e-9
+        if duration < config.odometer_interval - 1e-3:
+            return
+        sigma = math.hypot(config.odometer_sigma, 0.41 * config.odometer_quantum / duration)
+        distance = self._distance * duration / self._duration
+        self._timeline.measure("odometer", s.t_ns, np.array([0.0, duration, distance, sigma]))
+        self._sideways(s.t_ns, duration)
+        self._start_ns = s.t_ns
+        self._distance = self._duration = 0.0
+        self._restart_path(s.t_ns)
+
+    def check(self, t_ns: int) -> None:
+        """Enter that the wheels did not slide when no odometer has closed an interval for long."""
+        config = self._config
+        if not self.mounted or config.non_holonomic is None:
+            return
+        without = t_ns - self._path_ns
+        patience = 3.0 * config.odometer_interval if config.odometer else config.non_holonomic_interval
+        if without >= (patience - 0.01) * 1e9:
+            self._sideways(t_ns, without * 1e-9)
+            self._restart_path(t_ns)
+
+    def _sideways(self, t_ns: int, duration: float) -> None:
+        sigma = self._config.non_holonomic
+        if sigma is not None:
+            self._timeline.measure("non_holonomic", t_ns, np.array([0.0, duration, sigma]))
+
+    def _restart_path(self, t_ns: int) -> None:
+        self._timeline.restart_path(t_ns)
+        self._path_ns = t_ns
