@@ -205,7 +205,7 @@ class Navigator:
         self._first = None
         flags = first.flags | s.flags
         noise = 1.0 if not flags & (_BRIDGED | _SATURATED) else (1e4 if flags & _SATURATED else 100.0)
-        row = self._timeline.advance(t, first.dt + s.dt, noise, first.dtheta, first.dv, s.dtheta, s.dv)
+        row = self._timeline.advance(t, first.dt + s.dt, noise, (first, s))
         if row is None:
             self._change(t, Mode.FAULT, "the state is not finite")
             return
@@ -225,8 +225,7 @@ class Navigator:
             return
         first, self._first = self._first, None
         if first is not None:
-            a, v = 0.5 * first.dtheta, 0.5 * first.dv
-            self._timeline.advance(last, first.dt, 1.0, a, v, a, v)
+            self._timeline.advance(last, first.dt, 1.0, (first,))
         if silent > self.config.gap_limit * 1e9:
             # it may stand or be on its way: whichever alignment can end takes over
             self._align(t, f"no inertial data for {silent * 1e-9:.1f} s", self.config.alignment, "motion")

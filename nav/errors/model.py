@@ -1,8 +1,9 @@
-"""The linear error model of the wander-azimuth navigator, phi-angle form.
+"""The linear error model of the navigator, phi-angle form, whatever its azimuth law.
 
 Readable definition; `nav.filter.covariance` holds the sparse twin. The true frame n stands at the true
 position and is reached from the computed frame c by the shortest turn, so position errors are two level
-distances and a height, and nothing is singular at a pole.
+distances and a height, and nothing is singular at a pole. The azimuth law turns both frames alike: what
+the law's rate is computed from (latitude, east velocity) makes no error of its own.
 
 Sources: Groves, 2nd ed., section 14.2; the excerpt on psi-angle and phi-angle models, eqs. (2.2.1) to
 (2.2.19); Yan Gongmin 2008, eq. (4-17) for the sign of the gyro error.
@@ -43,15 +44,15 @@ def error_dynamics(
     up = np.array([0.0, 0.0, 1.0])
     level = np.diag([1.0, 1.0, 0.0])
 
-    # dw_ie = -dtheta x w_ie; dw_en = D dv - w_en dh/R, and a vertical part because the true frame
-    # is tied to the computed one
+    # dw_ie = -dtheta x w_ie; dw_en = D dv - (level w_en) dh/R, and a vertical part because the true
+    # frame is tied to the computed one
     ie_p = skew(w_ie_n) @ D
-    en_p = np.outer(up, up) @ skew(w_en_n) @ D - mean * np.outer(w_en_n, up)
+    en_p = np.outer(up, up) @ skew(w_en_n) @ D - mean * np.outer(level @ w_en_n, up)
     en_v = D
 
     F = np.zeros((st.FULL, st.FULL))
     p, v, phi = st.POSITION, st.VELOCITY, st.PHI
-    F[p, p] = mean * v_n[2] * level - mean * np.outer(level @ v_n, up)
+    F[p, p] = mean * v_n[2] * level - mean * np.outer(level @ v_n, up) - w_en_n[2] * skew(up)
     F[p, v] = np.eye(3)
     F[v, p] = skew(v_n) @ (2.0 * ie_p + en_p) + gravity_gradient * np.outer(up, up)
     F[v, v] = -skew(2.0 * w_ie_n + w_en_n) + skew(v_n) @ en_v

@@ -42,9 +42,12 @@ def _nav_block(A: Matrix, mid: Vector, dt: float) -> None:
     ix, iy, iz = mid[M_IE], mid[M_IE + 1], mid[M_IE + 2]
     tx, ty, tz = mid[M_EN], mid[M_EN + 1], mid[M_EN + 2]
     vx, vy, vz = mid[M_V], mid[M_V + 1], mid[M_V + 2]
+    turn = tz * dt
     fx, fy, fz = mid[M_F] * dt, mid[M_F + 1] * dt, mid[M_F + 2] * dt
     A[0, 0] = mean * vz
+    A[0, 1] = turn
     A[0, 2] = -mean * vx
+    A[1, 0] = -turn
     A[1, 1] = mean * vz
     A[1, 2] = -mean * vy
     A[0, 3] = dt
@@ -55,11 +58,11 @@ def _nav_block(A: Matrix, mid: Vector, dt: float) -> None:
     i00, i01 = -iz * kxx, -iz * kxy
     i10, i11 = -iz * kxy, -iz * kyy
     i20, i21 = ix * kxx + iy * kxy, ix * kxy + iy * kyy
-    a02, a12, a22 = -mean * tx, -mean * ty, -mean * tz
+    a02, a12 = -mean * tx, -mean * ty
     a20, a21 = i20 + tx * kxx + ty * kxy, i21 + tx * kxy + ty * kyy
     A[6, 0], A[6, 1], A[6, 2] = i00, i01, a02
     A[7, 0], A[7, 1], A[7, 2] = i10, i11, a12
-    A[8, 0], A[8, 1], A[8, 2] = a20, a21, a22
+    A[8, 0], A[8, 1] = a20, a21
     A[6, 3], A[6, 4] = -kxy, -kyy
     A[7, 3], A[7, 4] = kxx, kxy
     wx, wy, wz = (ix + tx) * dt, (iy + ty) * dt, (iz + tz) * dt
@@ -71,8 +74,8 @@ def _nav_block(A: Matrix, mid: Vector, dt: float) -> None:
     g00, g01 = 2.0 * i00, 2.0 * i01
     g10, g11 = 2.0 * i10, 2.0 * i11
     g20, g21 = i20 + a20, i21 + a21
-    A[3, 0], A[3, 1], A[3, 2] = vy * g20 - vz * g10, vy * g21 - vz * g11, vy * a22 - vz * a12
-    A[4, 0], A[4, 1], A[4, 2] = vz * g00 - vx * g20, vz * g01 - vx * g21, vz * a02 - vx * a22
+    A[3, 0], A[3, 1], A[3, 2] = vy * g20 - vz * g10, vy * g21 - vz * g11, -vz * a12
+    A[4, 0], A[4, 1], A[4, 2] = vz * g00 - vx * g20, vz * g01 - vx * g21, vz * a02
     A[5, 0], A[5, 1] = vx * g10 - vy * g00, vx * g11 - vy * g01
     A[5, 2] = vx * a12 - vy * a02 + mid[M_G] * dt
     cx, cy, cz = (2.0 * ix + tx) * dt, (2.0 * iy + ty) * dt, (2.0 * iz + tz) * dt
@@ -91,14 +94,14 @@ def _carry(w: Vector, A: Matrix, mid: Vector, dt: float, columns: int) -> None:
     The elements of Phi that are always zero are left out. Everything a column needs is one expression over
     rows of equal length, so that the compiler takes several columns at once.
     """
-    a00, a02, a11, a12 = A[0, 0], A[0, 2], A[1, 1], A[1, 2]
+    a00, a01, a02, a10, a11, a12 = A[0, 0], A[0, 1], A[0, 2], A[1, 0], A[1, 1], A[1, 2]
     a30, a31, a32, a33, a34, a35 = A[3, 0], A[3, 1], A[3, 2], A[3, 3], A[3, 4], A[3, 5]
     a40, a41, a42, a43, a44, a45 = A[4, 0], A[4, 1], A[4, 2], A[4, 3], A[4, 4], A[4, 5]
     a50, a51, a52, a53, a54 = A[5, 0], A[5, 1], A[5, 2], A[5, 3], A[5, 4]
     a37, a38, a46, a48, a56, a57 = A[3, 7], A[3, 8], A[4, 6], A[4, 8], A[5, 6], A[5, 7]
     a60, a61, a62, a63, a64, a67, a68 = A[6, 0], A[6, 1], A[6, 2], A[6, 3], A[6, 4], A[6, 7], A[6, 8]
     a70, a71, a72, a73, a74, a76, a78 = A[7, 0], A[7, 1], A[7, 2], A[7, 3], A[7, 4], A[7, 6], A[7, 8]
-    a80, a81, a82, a86, a87 = A[8, 0], A[8, 1], A[8, 2], A[8, 6], A[8, 7]
+    a80, a81, a86, a87 = A[8, 0], A[8, 1], A[8, 6], A[8, 7]
     c00, c01, c02 = mid[M_C] * dt, mid[M_C + 1] * dt, mid[M_C + 2] * dt
     c10, c11, c12 = mid[M_C + 3] * dt, mid[M_C + 4] * dt, mid[M_C + 5] * dt
     c20, c21, c22 = mid[M_C + 6] * dt, mid[M_C + 7] * dt, mid[M_C + 8] * dt
@@ -109,8 +112,8 @@ def _carry(w: Vector, A: Matrix, mid: Vector, dt: float, columns: int) -> None:
         g0, g1, g2 = w[9 * WIDTH + c], w[10 * WIDTH + c], w[11 * WIDTH + c]
         f0, f1, f2 = w[12 * WIDTH + c], w[13 * WIDTH + c], w[14 * WIDTH + c]
         o = OUT + c
-        w[o] = x + (a00 * x + a02 * z + dt * u)
-        w[o + WIDTH] = y + (a11 * y + a12 * z + dt * v)
+        w[o] = x + (a00 * x + a01 * y + a02 * z + dt * u)
+        w[o + WIDTH] = y + (a10 * x + a11 * y + a12 * z + dt * v)
         w[o + 2 * WIDTH] = z + dt * s
         w[o + 3 * WIDTH] = u + (
             (a30 * x + a31 * y + a32 * z)
@@ -142,9 +145,7 @@ def _carry(w: Vector, A: Matrix, mid: Vector, dt: float, columns: int) -> None:
             + (a76 * e + a78 * h)
             + (c10 * g0 + c11 * g1 + c12 * g2)
         )
-        w[o + 8 * WIDTH] = h + (
-            (a80 * x + a81 * y + a82 * z) + (a86 * e + a87 * n) + (c20 * g0 + c21 * g1 + c22 * g2)
-        )
+        w[o + 8 * WIDTH] = h + ((a80 * x + a81 * y) + (a86 * e + a87 * n) + (c20 * g0 + c21 * g1 + c22 * g2))
 
 
 @kernel
@@ -158,17 +159,16 @@ def predict(
     factor: float,
     extra_v: float,
     extra_phi: float,
-    work: Matrix,
+    w: Vector,
 ) -> None:
     """Covariance ``P`` (N, N) through ``dt`` seconds, in place.
 
     ``mid`` is the strapdown kernel's record of the interval, ``w_b`` and ``f_b`` (3,) the corrected rate
     and specific force, ``par`` holds noise densities (from place P_Q). ``factor``
     multiplies the noise of velocity and phi, ``extra_v`` and ``extra_phi`` are added to it ((m/s)^2/s and
-    rad^2/s). ``work`` is scratch of PREDICT_SIZE numbers or more. Twin of `predict_readable`.
+    rad^2/s). ``w`` is scratch of PREDICT_SIZE numbers or more. Twin of `predict_readable`.
     """
     n = P.shape[0]
-    w = work.reshape(work.size)
     A = w[OUT + 9 * WIDTH : PREDICT_SIZE].reshape(9, 9)
     _nav_block(A, mid, dt)
     # Phi P
@@ -212,6 +212,15 @@ def predict(
         keep = 1.0 - par[P_GNSS] * dt
         for i in range(25, n):
             P[i, i] -= par[P_Q + i] * dt
+        turn = mid[M_EN + 2] * dt
+        if turn != 0.0:
+            for c in range(n):
+                a, b = P[25, c], P[26, c]
+                P[25, c], P[26, c] = a + turn * b, b - turn * a
+            for c in range(n):
+                a, b = P[c, 25], P[c, 26]
+                P[c, 25], P[c, 26] = a + turn * b, b - turn * a
+        for i in range(25, n):
             for c in range(n):
                 P[i, c] *= keep
                 P[c, i] *= keep

@@ -11,7 +11,7 @@ bit, what the measurements would have given in the order of their times.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -20,18 +20,20 @@ from nav.events import Innovation, NavEvent, Notice
 from nav.filter.measurements import MEASUREMENTS, Measurement, vehicle_velocity
 from nav.filter.propagate import (
     REST_SIZE,
+    ROW_D,
     ROW_DT,
     ROW_GAP,
+    ROW_N,
     ROW_NOISE,
-    ROW_SIZE,
-    WORK_ROWS,
+    WORK_SIZE,
     advance,
     replay,
+    row_size,
     solution_row,
 )
 from nav.filter.recovery import inflate
 from nav.filter.states import ALL, X_PATH, X_PT, X_SIZE
-from nav.types import S, Vector
+from nav.types import ImuSample, S, Vector
 
 CAPACITY: Final = 2048
 """Updates kept."""
@@ -93,16 +95,18 @@ class Filter:
 class Timeline:
     """The live filter, its history, and the copy that goes back when data comes late."""
 
-    def __init__(self, states: int, par: Vector, lockout: float, replay_updates: int) -> None:
+    def __init__(
+        self, states: int, par: Vector, lockout: float, replay_updates: int, samples: int = 2
+    ) -> None:
         self.par = par
         self.live = Filter(states)
         self._work = Filter(states)
         self.behind = False
         """Whether late data is still being worked in."""
-        self._scratch = np.zeros((WORK_ROWS, ALL))
+        self._scratch = np.zeros(WORK_SIZE)
         self._out = np.zeros(12)
         self.rest = np.zeros(REST_SIZE)
-        self._ring = np.zeros((CAPACITY, ROW_SIZE))
+        self._ring = np.zeros((CAPACITY, row_size(samples)))
         self._rows = [self._ring[i] for i in range(CAPACITY)]
         self._times = np.zeros(CAPACITY, dtype=np.int64)
         self._snap_u = np.full(_SLOTS, -1, dtype=np.int64)
@@ -145,29 +149,32 @@ class Timeline:
 
     # ---- forward -------------------------------------------------------------------------------
 
-    def advance(
-        self, t_ns: int, dt: float, noise: float, a1: Vector, v1: Vector, a2: Vector, v2: Vector
-    ) -> Vector | None:
-        """One update over two samples; returns the solution row (S.SIZE,), None when it is not finite.
+    def advance(self, t_ns: int, dt: float, noise: float, samples: Sequence[ImuSample]) -> Vector | None:
+        """One update over samples; returns the solution row (S.SIZE,), None when it is not finite.
 
-        ``dt`` s over both, ``noise`` factor on the noise densities; increments (3,) in b.
+        ``dt`` s over all of them, ``noise`` factor on the noise densities.
         """
-        place = self._next(t_ns, dt, 0.0, noise)
+        place = self._next(t_ns, dt, 0.0, noise, len(samples))
         live = self.live
+        store = self._rows[place]
+        o = ROW_D
+        p = o + 3 * len(samples)
+        for sample in samples:
+            store[o : o + 3] = sample.dtheta
+            store[p : p + 3] = sample.dv
+            o, p = o + 3, p + 3
         row = np.empty(S.SIZE)
-        good = advance(
-            live.x, live.P, self.par, self._scratch, self._rows[place], a1, v1, a2, v2, self.rest, row
-        )
+        good = advance(live.x, live.P, self.par, self._scratch, store, self.rest, row)
         live.u += 1
         self.t_ns = t_ns
         if not self.behind and live.cursor < len(self._log) and self._log[live.cursor].t_ns <= t_ns:
             self._apply_due(live, t_ns)
-            good = solution_row(live.x, live.P, self.par, self._scratch[0], row)
+            good = solution_row(live.x, live.P, self.par, self._scratch[:ALL], row)
         return row if good else None
 
     def bridge(self, t_ns: int, dt: float) -> None:
         """One update over ``dt`` seconds in which nothing was measured."""
-        place = self._next(t_ns, dt, 1.0, 1.0)
+        place = self._next(t_ns, dt, 1.0, 1.0, 1)
         live = self.live
         self._times[place] = t_ns
         replay(live.x, live.P, self.par, self._scratch, self._ring, self._times, live.u, live.u + 1, 2**62)
@@ -176,7 +183,7 @@ class Timeline:
         if not self.behind:
             self._apply_due(live, t_ns)
 
-    def _next(self, t_ns: int, dt: float, gap: float, noise: float) -> int:
+    def _next(self, t_ns: int, dt: float, gap: float, noise: float, samples: int) -> int:
         live = self.live
         if live.u % STRIDE == 0 and not self.behind:
             self._snapshot(live)
@@ -186,6 +193,7 @@ class Timeline:
         row[ROW_DT] = dt
         row[ROW_GAP] = gap
         row[ROW_NOISE] = noise
+        row[ROW_N] = samples
         self._times[place] = t_ns
         return place
 
@@ -312,7 +320,7 @@ class Timeline:
     def solution(self) -> Vector | None:
         """The solution row (S.SIZE,) of the live filter as it is now, None when it is not finite."""
         row = np.empty(S.SIZE)
-        good = solution_row(self.live.x, self.live.P, self.par, self._scratch[0], row)
+        good = solution_row(self.live.x, self.live.P, self.par, self._scratch[:ALL], row)
         return row if good else None
 
     def _apply_due(self, f: Filter, now_ns: int) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE, gravity_north, normal_gravity, radii
-from nav.filter.covariance import predict
+from nav.filter.covariance import PREDICT_SIZE, predict
 from nav.filter.states import (
     P_AXES,
     P_GAP_A,
@@ -39,22 +39,49 @@ from nav.filter.states import (
 )
 from nav.jit import kernel
 from nav.rotation import logarithm, multiply, rotate
-from nav.strapdown.control import U_SIZE
-from nav.strapdown.kernels import M_C, M_EN, M_IE, M_V, X_C, X_H, X_Q, X_V, increments, strapdown
+from nav.strapdown.coning import MOST_SAMPLES
+from nav.strapdown.control import U_H, U_SIZE
+from nav.strapdown.kernels import (
+    M_C,
+    M_EN,
+    M_IE,
+    M_SIZE,
+    M_V,
+    X_C,
+    X_H,
+    X_Q,
+    X_V,
+    increments,
+    strapdown,
+)
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 # Places in a row of the increment ring.
-ROW_DT: Final = 12
-ROW_GAP: Final = 13  # 1: nothing was measured over this interval
-ROW_NOISE: Final = 14  # factor on the noise densities of velocity and phi
-ROW_SIZE: Final = 15
+ROW_DT: Final = 0  # s, over all samples
+ROW_GAP: Final = 1  # 1: nothing was measured over this interval
+ROW_NOISE: Final = 2  # factor on the noise densities of velocity and phi
+ROW_H: Final = 3  # external height for the height channel, m
+ROW_N: Final = 4  # samples in this row
+ROW_D: Final = 5  # angle increments of all samples, then velocity increments
+
+
+def row_size(samples: int) -> int:
+    """Length of a row for up to ``samples`` samples an update."""
+    return ROW_D + 6 * samples
+
 
 REST_SIZE: Final = 14
 
-WORK_ROWS: Final = 54
-"""Rows of the scratch matrix (WORK_ROWS, ALL) that the kernels share; those from 20 on are `predict`'s."""
+# Places in the scratch, behind a first row of `solution_row`.
+_D: Final = 32  # samples without biases, 6 * MOST_SAMPLES
+_U: Final = _D + 6 * MOST_SAMPLES  # control vector
+_INC: Final = _U + U_SIZE  # what the samples add up to, 6
+WORK_MID: Final = _INC + 6  # record of the middle of the update, M_SIZE
+_PREDICT: Final = (WORK_MID + M_SIZE + 63) // 64 * 64  # of `predict`, where a line of the cache begins
+WORK_SIZE: Final = _PREDICT + PREDICT_SIZE
+"""Length of the scratch vector that the kernels share."""
 
 
 @kernel
@@ -63,11 +90,20 @@ def _add_vibration(P: Matrix, mid: Vector, gyro: float, accel: float, row: Vecto
 
     Increments made from samples of a rate that shakes faster than half the sampling rate are noise whose
     variance the shaking itself shows: two neighbours with independent errors of variance s^2 differ by
-    2 s^2 in the mean square, and their sum has that variance too.
+    2 s^2 in the mean square, and the sum of n has n s^2. One sample alone shows nothing.
     """
+    n = int(row[ROW_N])
+    if n < 2:
+        return
+    scale = n / (2.0 * (n - 1))
     for k in range(3):
-        a, v = row[3 + k] - row[k], row[9 + k] - row[6 + k]
-        a, v = gyro * a * a, accel * v * v
+        a, v = 0.0, 0.0
+        for i in range(n - 1):
+            o = ROW_D + 3 * i + k
+            p = o + 3 * n
+            a += (row[o + 3] - row[o]) ** 2
+            v += (row[p + 3] - row[p]) ** 2
+        a, v = gyro * scale * a, accel * scale * v
         for i in range(3):
             ci = mid[M_C + 3 * i + k]
             for j in range(3):
@@ -77,43 +113,54 @@ def _add_vibration(P: Matrix, mid: Vector, gyro: float, accel: float, row: Vecto
 
 
 @kernel
-def propagate(x: Vector, P: Matrix, par: Vector, work: Matrix, row: Vector) -> None:
+def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> None:
     """Nominal state ``x`` and covariance ``P`` through one row of the increment ring, in place.
 
-    A row holds raw increments of two samples (dtheta 1, dtheta 2, dv 1, dv 2), duration, gap flag and
-    noise factor. Biases and scale factors are taken out here. Over a gap the vehicle is taken to keep
-    velocity and attitude, with the uncertainty of the rates and accelerations that may have passed.
+    A row (see ROW_) holds raw increments of its samples, duration, gap flag and noise factor. Biases and
+    scale factors are taken out here. Over a gap the vehicle is taken to keep velocity and attitude, with the
+    uncertainty of the rates and accelerations that may have passed.
     """
     dt = row[ROW_DT]
-    half = 0.5 * dt
-    d = work[18]
-    mid = work[19]
+    n = int(row[ROW_N])
+    d = work[_D : _D + 6 * MOST_SAMPLES]
+    u = work[_U : _U + U_SIZE]
+    inc = work[_INC : _INC + 6]
+    mid = work[WORK_MID : WORK_MID + M_SIZE]
     if row[ROW_GAP] != 0.0:
+        n = 1
         ex, ey, ez, h = x[X_C + 6], x[X_C + 7], x[X_C + 8], x[X_H]
         north = gravity_north(ez, 1.0, h)
         wx, wy, wz = rotate(x[0], -x[1], -x[2], -x[3], EARTH_RATE * ex, EARTH_RATE * ey, EARTH_RATE * ez)
         ax, ay, az = rotate(x[0], -x[1], -x[2], -x[3], -north * ex, -north * ey, normal_gravity(ez, h))
         extra_v = par[P_GAP_A] * par[P_GAP_A] * dt
         extra_phi = par[P_GAP_W] * par[P_GAP_W] * dt
-        for i in range(2):
-            d[3 * i], d[3 * i + 1], d[3 * i + 2] = wx * half, wy * half, wz * half
-            d[6 + 3 * i], d[7 + 3 * i], d[8 + 3 * i] = ax * half, ay * half, az * half
+        d[0], d[1], d[2] = wx * dt, wy * dt, wz * dt
+        d[3], d[4], d[5] = ax * dt, ay * dt, az * dt
     else:
+        part = dt / n
         for i in range(3):
-            bg, ba = x[X_BG + i] * half, x[X_BA + i] * half
+            bg, ba = x[X_BG + i] * part, x[X_BA + i] * part
             sg, sa = 1.0 / (1.0 + x[X_SG + i]), 1.0 / (1.0 + x[X_SA + i])
-            d[i] = (row[i] - bg) * sg
-            d[3 + i] = (row[3 + i] - bg) * sg
-            d[6 + i] = (row[6 + i] - ba) * sa
-            d[9 + i] = (row[9 + i] - ba) * sa
+            for k in range(n):
+                o = 3 * k + i
+                p = o + 3 * n
+                d[o] = (row[ROW_D + o] - bg) * sg
+                d[p] = (row[ROW_D + p] - ba) * sa
         extra_v = 0.0
         extra_phi = 0.0
+    for i in range(U_SIZE):
+        u[i] = par[P_U + i]
+    u[U_H] = row[ROW_H]
     vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
-    increments(d, 2, work[17])
-    strapdown(x, work[17], dt, par[P_U : P_U + U_SIZE], mid)
+    increments(d, n, inc)
+    strapdown(x, inc, dt, u, mid)
     for i in range(3):
-        x[X_W + i] = (d[i] + d[3 + i]) / dt
-        x[X_F + i] = (d[6 + i] + d[9 + i]) / dt
+        w, f = 0.0, 0.0
+        for k in range(n):
+            w += d[3 * k + i]
+            f += d[3 * (n + k) + i]
+        x[X_W + i] = w / dt
+        x[X_F + i] = f / dt
     x[X_A], x[X_A + 1], x[X_A + 2] = (x[X_V] - vx) / dt, (x[X_V + 1] - vy) / dt, (x[X_V + 2] - vz) / dt
 
     # path of the odometer point in v
@@ -133,16 +180,28 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Matrix, row: Vector) -> N
     x[X_PATH + 2] += bz * dt
     x[X_PT] += dt
 
+    # the receiver's error is kept in n, which may turn about the vertical
     keep = 1.0 - par[P_GNSS] * dt
-    for i in range(3):
-        x[X_GB + i] *= keep
+    turn = mid[M_EN + 2] * dt
+    gx, gy = x[X_GB], x[X_GB + 1]
+    x[X_GB], x[X_GB + 1] = keep * (gx + turn * gy), keep * (gy - turn * gx)
+    x[X_GB + 2] *= keep
 
     # what scale and axes of the sensors do to motion: an error of velocity with a change of speed, an error
     # of angle about its axis with a turn
     a2 = x[X_A] * x[X_A] + x[X_A + 1] * x[X_A + 1] + x[X_A + 2] * x[X_A + 2]
     extra_v += par[P_PUSH] * np.sqrt(a2)
     predict(
-        P, mid, x[X_W : X_W + 3], x[X_F : X_F + 3], dt, par, row[ROW_NOISE], extra_v, extra_phi, work[20:]
+        P,
+        mid,
+        x[X_W : X_W + 3],
+        x[X_F : X_F + 3],
+        dt,
+        par,
+        row[ROW_NOISE],
+        extra_v,
+        extra_phi,
+        work[_PREDICT:],
     )
     if row[ROW_GAP] == 0.0 and (par[P_VIB_G] > 0.0 or par[P_VIB_A] > 0.0):
         _add_vibration(P, mid, par[P_VIB_G], par[P_VIB_A], row)
@@ -166,7 +225,7 @@ def replay(
     x: Vector,
     P: Matrix,
     par: Vector,
-    work: Matrix,
+    work: Vector,
     ring: Matrix,
     times: NDArray[np.int64],
     first: int,
@@ -294,38 +353,24 @@ def solution_row(x: Vector, P: Matrix, par: Vector, h: Vector, out: Vector) -> b
 
 
 @kernel
-def advance(
-    x: Vector,
-    P: Matrix,
-    par: Vector,
-    work: Matrix,
-    row: Vector,
-    a1: Vector,
-    v1: Vector,
-    a2: Vector,
-    v2: Vector,
-    rest: Vector,
-    out: Vector,
-) -> bool:
-    """Store two samples in ``row``, propagate through them, fill ``out``; False when not finite.
+def advance(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector, rest: Vector, out: Vector) -> bool:
+    """Propagate through the samples in ``row``, fill ``out``; False when not finite.
 
-    ``a1, a2`` (3,) rad and ``v1, v2`` (3,) m/s; duration, gap and noise are in ``row`` already.
     ``rest`` (REST_SIZE,) gathers sums for the detection of standstill: duration, updates, increments of
     angle and velocity (3 + 3), sums of squared rates and specific forces (3 + 3).
     """
-    for i in range(3):
-        row[i] = a1[i]
-        row[3 + i] = a2[i]
-        row[6 + i] = v1[i]
-        row[9 + i] = v2[i]
     dt = row[ROW_DT]
+    n = int(row[ROW_N])
     rest[0] += dt
     rest[1] += 1.0
     for i in range(3):
-        a, v = a1[i] + a2[i], v1[i] + v2[i]
+        a, v = 0.0, 0.0
+        for k in range(n):
+            a += row[ROW_D + 3 * k + i]
+            v += row[ROW_D + 3 * (n + k) + i]
         rest[2 + i] += a
         rest[5 + i] += v
         rest[8 + i] += a * a / (dt * dt)
         rest[11 + i] += v * v / (dt * dt)
     propagate(x, P, par, work, row)
-    return solution_row(x, P, par, work[0], out)
+    return solution_row(x, P, par, work[: P.shape[0]], out)

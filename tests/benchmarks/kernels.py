@@ -21,7 +21,7 @@ from nav import rotation as rot
 from nav.errors.model import error_dynamics
 from nav.filter import states as st
 from nav.filter.covariance import predict_readable
-from nav.filter.propagate import ROW_DT, ROW_NOISE, ROW_SIZE, WORK_ROWS, propagate
+from nav.filter.propagate import ROW_D, ROW_DT, ROW_N, ROW_NOISE, WORK_SIZE, propagate, row_size
 from nav.imu.pulses import Calibration, compensate, compensate_readable
 from nav.jit import kernel
 from nav.strapdown import mechanize
@@ -68,7 +68,8 @@ def fast_steps(
     """``n`` samples through the kernels of the live path."""
     for k in range(n):
         i = 3 * (k % 2)
-        compensate(table, counts, DT, row[i : i + 3], row[6 + i : 9 + i])
+        d = row[ROW_D:]
+        compensate(table, counts, DT, d[i : i + 3], d[6 + i : 9 + i])
         if k % 2:
             propagate(x, P, par, work, row)
 
@@ -141,9 +142,9 @@ def readable_steps(n: int) -> None:
 def measure(rounds: int = 15, samples: int = 20_000) -> dict[str, float]:
     """Seconds per sample of each case."""
     table = CALIBRATION.table()
-    row = np.zeros(ROW_SIZE)
-    row[ROW_DT], row[ROW_NOISE] = 2.0 * DT, 1.0
-    work = np.zeros((WORK_ROWS, st.FULL))
+    row = np.zeros(row_size(2))
+    row[ROW_DT], row[ROW_NOISE], row[ROW_N] = 2.0 * DT, 1.0, 2
+    work = np.zeros(WORK_SIZE)
     slow = max(samples // 100, 2)
     rng = np.random.default_rng(1)
     Phi = np.eye(DENSE) + 1e-6 * rng.standard_normal((DENSE, DENSE))

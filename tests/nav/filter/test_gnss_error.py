@@ -9,7 +9,7 @@ from nav.filter import states as st
 from nav.filter.initial import initial_state
 from nav.filter.kalman import correct
 from nav.filter.measurements import gnss_position
-from nav.filter.propagate import ROW_DT, ROW_NOISE, ROW_SIZE, WORK_ROWS, propagate
+from nav.filter.propagate import ROW_D, ROW_DT, ROW_N, ROW_NOISE, WORK_SIZE, propagate, row_size
 from nav.filter.settings import ImuErrors, NavigatorConfig, parameters
 from nav.navigator import Navigator
 from tests.nav.filter.making import nominal
@@ -21,15 +21,15 @@ STEADY = np.diag(np.square([SLOW[0], SLOW[0], SLOW[1]]))
 
 
 def row():
-    out = np.zeros(ROW_SIZE)
-    out[8] = out[11] = 9.8 * DT / 2
-    out[ROW_DT], out[ROW_NOISE] = DT, 1.0
+    out = np.zeros(row_size(2))
+    out[ROW_D + 8] = out[ROW_D + 11] = 9.8 * DT / 2
+    out[ROW_DT], out[ROW_NOISE], out[ROW_N] = DT, 1.0, 2
     return out
 
 
 def test_it_keeps_its_sigma_and_forgets_with_its_time():
     x, par = nominal(v=(0.0, 0.0, 0.0)), parameters(CONFIG)
-    P, work = np.zeros((st.ALL, st.ALL)), np.zeros((WORK_ROWS, st.ALL))
+    P, work = np.zeros((st.ALL, st.ALL)), np.zeros(WORK_SIZE)
     P[st.GNSS, st.GNSS] = STEADY
     P[0, 25] = P[25, 0] = -0.09
     x[st.X_GB : st.X_GB + 3] = 1.0

@@ -5,7 +5,7 @@ import pytest
 
 from nav import rotation as rot
 from nav.filter import states as st
-from nav.filter.propagate import ROW_DT, ROW_NOISE, ROW_SIZE, WORK_ROWS, propagate, solution_row
+from nav.filter.propagate import ROW_D, ROW_DT, ROW_N, ROW_NOISE, WORK_SIZE, propagate, row_size, solution_row
 from nav.filter.report import solution_covariance
 from nav.types import S
 from tests.nav.filter.making import covariance, disturbed, nominal
@@ -60,13 +60,13 @@ def test_motion_adds_what_scale_and_axes_do_to_it():
     P = np.zeros((st.BASIC, st.BASIC))
     x = nominal(seed=2, v=(0.0, 0.0, 0.0))
     x[st.X_BG : st.X_BG + 3] = x[st.X_BA : st.X_BA + 3] = 0.0
-    work = np.zeros((WORK_ROWS, st.FULL))
-    increments = np.zeros(ROW_SIZE)
-    increments[ROW_DT], increments[ROW_NOISE] = 0.02, 1.0
+    work = np.zeros(WORK_SIZE)
+    increments = np.zeros(row_size(2))
+    increments[ROW_DT], increments[ROW_NOISE], increments[ROW_N] = 0.02, 1.0, 2
     axis_b, pushed = np.array([0.0, 0.0, 1.0]), 0.0
     for _ in range(50):
-        increments[2] = increments[5] = 0.005
-        increments[8] = increments[11] = 0.1
+        increments[ROW_D + 2] = increments[ROW_D + 5] = 0.005
+        increments[ROW_D + 8] = increments[ROW_D + 11] = 0.1
         propagate(x, P, par, work, increments)
         pushed += np.linalg.norm(x[st.X_A : st.X_A + 3]) * 0.02
     # half a radian about an axis that stays where it is; Earth rate is 7e-5 / 0.5 of it
