@@ -9,9 +9,7 @@ from typing import Annotated, Final
 from msgspec import Meta
 
 from bridge.drivers.base import Context
-from bridge.drivers.can_frames import AliveCounter, bad_frame
-from bridge.drivers.counters import Counters
-from bridge.drivers.odometer_can import TIME_MODULUS_NS
+from bridge.drivers.can_frames import Intake
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
@@ -50,33 +48,23 @@ class BaroCan:
     """One frame, one sample."""
 
     def __init__(self, options: BaroCanOptions, context: Context) -> None:
-        self.counters = Counters()
+        self._intake = Intake("BARO", options.id_offset, options.latency_ms, context)
+        self.keys, self.counters = self._intake.keys, self._intake.counters
         self._name = context.name
-        self._codec = context.message("BARO")
-        self.keys = [(context.source, self._codec.frame_id + options.id_offset)]
-        self._alive = AliveCounter(self._codec, self.counters)
-        self._port = context.port(TIME_MODULUS_NS, options.latency_ms)
         self._sigma = options.sigma_m
 
     def feed(self, frame: RawFrame) -> Sequence[BaroSample]:
         """The pressure altitude in ``frame``."""
-        _, rx_ns, _, _, data = frame
-        counters, codec = self.counters, self._codec
-        counters.frames += 1
-        if not codec.crc_ok(data):
-            bad_frame(codec, data, counters)
+        intake = self._intake
+        taken = intake.take(frame)
+        if taken is None:
             return ()
-        if not self._alive.fresh(codec.alive(data), data):
-            return ()
-        valid, pressure, _, time_us = codec.decode(data)
-        t_ns = self._port.stamp(int(time_us) * 1000, rx_ns)
-        elapsed = self._port.elapsed_ns
+        t_ns, (valid, pressure, _, _) = taken
         if not valid:
-            return counters.reject(Reject.INVALID)
+            return self.counters.reject(Reject.INVALID)
         if not LOWEST_PA <= pressure <= HIGHEST_PA:
-            return counters.reject(Reject.RANGE)
-        if elapsed is not None and elapsed <= 0:
-            return counters.reject(Reject.STALE)
-        counters.samples += 1
-        counters.last_ns = t_ns
+            return self.counters.reject(Reject.RANGE)
+        if intake.stale:
+            return self.counters.reject(Reject.STALE)
+        intake.given(t_ns)
         return (BaroSample(t_ns, pressure_altitude(pressure), self._sigma, self._name),)

@@ -117,14 +117,14 @@ class DeviceClock:
         if widest == 0:
             self.seed(counter_ns, arrival_ns, modulus_ns)
             return counter_ns
-        expected = arrival_ns - self._base - round(self._height + self._slope * self._x)
         if modulus_ns == widest:
             if modulus_ns is None:
                 return counter_ns - self._shift
         elif widest is not None:
             if modulus_ns is None or modulus_ns > widest:
                 # a wider counter joins: the axis is its time less a whole number of the old width
-                self._shift = (counter_ns - expected + widest // 2) // widest * widest
+                ahead = counter_ns - self._expected(arrival_ns)
+                self._shift = (ahead + widest // 2) // widest * widest
                 self._widest = modulus_ns
             elif widest % modulus_ns:
                 return None
@@ -134,7 +134,12 @@ class DeviceClock:
         back = modulus_ns >> 3
         if arrival_ns - since[1] < modulus_ns >> 1:
             return since[0] - back + (place - since[0] + back) % modulus_ns
-        return expected + back - (expected + back - place) % modulus_ns
+        latest = self._expected(arrival_ns) + back
+        return latest - (latest - place) % modulus_ns
+
+    def _expected(self, arrival_ns: int) -> int:
+        """Where on the axis a count that arrives now is, by the line."""
+        return arrival_ns - self._base - round(self._height + self._slope * self._x)
 
     def defined_by(self, modulus_ns: int | None) -> bool:
         """Whether a counter of this width is the widest: the one that says what device time is."""

@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Meta
 
 from bridge.drivers.base import Context
-from bridge.drivers.can_frames import bad_frame
+from bridge.drivers.can_frames import intact, repeated
 from bridge.drivers.counters import Counters
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
@@ -63,16 +63,11 @@ class GnssCan:
         counters = self.counters
         counters.frames += 1
         place, codec = self._codecs[key]
-        if not codec.crc_ok(data):
-            bad_frame(codec, data, counters)
+        if not intact(codec, data, counters):
             return ()
         alive = codec.alive(data)
         if alive == self._done_alive or (alive == self._alive and self._have >> place & 1):
-            if data == self._data[place]:
-                counters.duplicates += 1
-            else:
-                counters.reject(Reject.COUNTER)
-            return ()
+            return repeated(data, self._data[place], counters)
         if alive != self._alive:
             if self._have:
                 counters.reject(Reject.INCOMPLETE)

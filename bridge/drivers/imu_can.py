@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from bridge.calibration import read_calibration
 from bridge.drivers.base import Context
-from bridge.drivers.can_frames import bad_frame
+from bridge.drivers.can_frames import intact, repeated
 from bridge.drivers.counters import Counters
 from bridge.drivers.device_clock import ClockPort
 from bridge.drivers.imu_assembly import FRAME_BYTES, assemble, layout
@@ -182,26 +182,26 @@ class ImuCan:
         counters = self._counters
         if key == self._gyro_key:
             codec = self._gyro_codec
-            if not codec.crc_ok(data):
-                bad_frame(codec, data, counters)
+            if not intact(codec, data, counters):
                 return ()
             alive = codec.alive(data)
             if alive == self._done_alive:
-                return self._repeated(data, self._gyro_data)
-            if self._gyro_alive >= 0:
-                self._superseded(alive, data == self._gyro_data)
+                return repeated(data, self._gyro_data, counters)
+            if alive == self._gyro_alive:
+                repeated(data, self._gyro_data, counters)
+            elif self._gyro_alive >= 0:
+                counters.reject(Reject.INCOMPLETE)
             self._gyro = codec.decode(data)
             self._gyro_alive = alive
             self._gyro_data = data
             return ()
         if key == self._accel_key:
             codec = self._accel_codec
-            if not codec.crc_ok(data):
-                bad_frame(codec, data, counters)
+            if not intact(codec, data, counters):
                 return ()
             alive = codec.alive(data)
             if alive == self._done_alive:
-                return self._repeated(data, self._accel_data)
+                return repeated(data, self._accel_data, counters)
             self._accel = codec.decode(data)
             self._accel_alive = alive
             self._accel_data = data
@@ -209,12 +209,11 @@ class ImuCan:
         if key == self._fd_key:
             return self._feed_fd(data, rx_ns)
         codec = self._time_codec
-        if not codec.crc_ok(data):
-            bad_frame(codec, data, counters)
+        if not intact(codec, data, counters):
             return ()
         alive = codec.alive(data)
         if alive == self._done_alive:
-            return self._repeated(data, self._time_data)
+            return repeated(data, self._time_data, counters)
         whole = self._gyro_alive == alive == self._accel_alive
         self._gyro_alive = self._accel_alive = -1
         self._done_alive = alive
@@ -228,30 +227,13 @@ class ImuCan:
         head = (int(status), int(sample), int(time_us))
         return self._sample(self._classic, head, counts, flags, rx_ns)
 
-    def _repeated(self, data: bytes, before: bytes) -> tuple[()]:
-        """Count a frame whose counter is that of the sample given out last: sent again, or stuck."""
-        if data == before:
-            self._counters.duplicates += 1
-        else:
-            self._counters.reject(Reject.COUNTER)
-        return ()
-
-    def _superseded(self, alive: int, same: bool) -> None:
-        if alive != self._gyro_alive:
-            self._counters.reject(Reject.INCOMPLETE)
-        elif same:
-            self._counters.duplicates += 1
-        else:
-            self._counters.reject(Reject.COUNTER)
-
     def _feed_fd(self, data: bytes, rx_ns: int) -> Sequence[ImuSample]:
         codec = self._fd_codec
-        if not codec.crc_ok(data):
-            bad_frame(codec, data, self._counters)
+        if not intact(codec, data, self._counters):
             return ()
         alive = codec.alive(data)
         if alive == self._done_alive:
-            return self._repeated(data, self._fd_data)
+            return repeated(data, self._fd_data, self._counters)
         self._done_alive = alive
         self._fd_data = data
         values = codec.decode(data)
@@ -263,9 +245,7 @@ class ImuCan:
 
     def _feed_status(self, data: bytes) -> tuple[()]:
         codec = self._status_codec
-        if not codec.crc_ok(data):
-            bad_frame(codec, data, self._counters)
-        else:
+        if intact(codec, data, self._counters):
             self._check_serial(int(codec.decode(data)[2]))
         return ()
 

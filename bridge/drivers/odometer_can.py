@@ -8,15 +8,13 @@ from typing import Annotated, Final
 from msgspec import Meta
 
 from bridge.drivers.base import Context
-from bridge.drivers.can_frames import AliveCounter, bad_frame
-from bridge.drivers.counters import Counters
+from bridge.drivers.can_frames import Intake
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
 from nav.types import OdoSample
 
 TICK_MODULUS: Final = 2**32
-TIME_MODULUS_NS: Final = 2**16 * 100_000
 _REVERSE: Final = 2
 
 
@@ -35,12 +33,9 @@ class OdometerCan:
     """Distance per frame; ticks of lost frames are in the next one, so no distance is lost with them."""
 
     def __init__(self, options: OdometerCanOptions, context: Context) -> None:
-        self.counters = Counters()
+        self._intake = Intake("ODO", options.id_offset, options.latency_ms, context)
+        self.keys, self.counters = self._intake.keys, self._intake.counters
         self._name = context.name
-        self._codec = context.message("ODO")
-        self.keys = [(context.source, self._codec.frame_id + options.id_offset)]
-        self._alive = AliveCounter(self._codec, self.counters)
-        self._port = context.port(TIME_MODULUS_NS, options.latency_ms)
         self._m_per_tick = options.m_per_tick
         self._max_speed = options.max_speed_m_s
         self._sign = 1.0
@@ -49,16 +44,11 @@ class OdometerCan:
 
     def feed(self, frame: RawFrame) -> Sequence[OdoSample]:
         """The distance since the frame before, where both are good."""
-        _, rx_ns, _, _, data = frame
-        counters, codec = self.counters, self._codec
-        counters.frames += 1
-        if not codec.crc_ok(data):
-            bad_frame(codec, data, counters)
+        counters, intake = self.counters, self._intake
+        taken = intake.take(frame)
+        if taken is None:
             return ()
-        if not self._alive.fresh(codec.alive(data), data):
-            return ()
-        direction, standstill, valid, ticks, time_us = codec.decode(data)
-        t_ns = self._port.stamp(int(time_us) * 1000, rx_ns)
+        t_ns, (direction, standstill, valid, ticks, _) = taken
         if not valid:
             self._ticks = None
             return counters.reject(Reject.INVALID)
@@ -70,7 +60,7 @@ class OdometerCan:
         before, then = self._ticks, self._t_ns
         self._ticks = int(ticks)
         self._t_ns = t_ns
-        elapsed = self._port.elapsed_ns
+        elapsed = intake.elapsed_ns
         if before is None:
             return ()
         if elapsed is None:
@@ -81,6 +71,5 @@ class OdometerCan:
         distance = (int(ticks) - before) % TICK_MODULUS * self._m_per_tick
         if distance > self._max_speed * dt + self._m_per_tick:
             return counters.reject(Reject.RANGE)
-        counters.samples += 1
-        counters.last_ns = t_ns
+        intake.given(t_ns)
         return (OdoSample(t_ns, dt, self._sign * distance, bool(standstill), self._name),)

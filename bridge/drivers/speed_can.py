@@ -8,9 +8,7 @@ from typing import Annotated
 from msgspec import Meta
 
 from bridge.drivers.base import Context
-from bridge.drivers.can_frames import AliveCounter, bad_frame
-from bridge.drivers.counters import Counters
-from bridge.drivers.odometer_can import TIME_MODULUS_NS
+from bridge.drivers.can_frames import Intake
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
@@ -32,34 +30,24 @@ class SpeedCan:
     """One frame, one sample."""
 
     def __init__(self, options: SpeedCanOptions, context: Context) -> None:
-        self.counters = Counters()
+        self._intake = Intake("SPEED", options.id_offset, options.latency_ms, context)
+        self.keys, self.counters = self._intake.keys, self._intake.counters
         self._name = context.name
-        self._codec = context.message("SPEED")
-        self.keys = [(context.source, self._codec.frame_id + options.id_offset)]
-        self._alive = AliveCounter(self._codec, self.counters)
-        self._port = context.port(TIME_MODULUS_NS, options.latency_ms)
         self._max_speed = options.max_speed_m_s
         self._min_sigma = options.min_sigma_m_s
 
     def feed(self, frame: RawFrame) -> Sequence[SpeedSample]:
         """The speed in ``frame``."""
-        _, rx_ns, _, _, data = frame
-        counters, codec = self.counters, self._codec
-        counters.frames += 1
-        if not codec.crc_ok(data):
-            bad_frame(codec, data, counters)
+        intake = self._intake
+        taken = intake.take(frame)
+        if taken is None:
             return ()
-        if not self._alive.fresh(codec.alive(data), data):
-            return ()
-        valid, speed, accuracy, time_us = codec.decode(data)
-        t_ns = self._port.stamp(int(time_us) * 1000, rx_ns)
-        elapsed = self._port.elapsed_ns
+        t_ns, (valid, speed, accuracy, _) = taken
         if not valid:
-            return counters.reject(Reject.INVALID)
+            return self.counters.reject(Reject.INVALID)
         if abs(speed) > self._max_speed:
-            return counters.reject(Reject.RANGE)
-        if elapsed is not None and elapsed <= 0:
-            return counters.reject(Reject.STALE)
-        counters.samples += 1
-        counters.last_ns = t_ns
+            return self.counters.reject(Reject.RANGE)
+        if intake.stale:
+            return self.counters.reject(Reject.STALE)
+        intake.given(t_ns)
         return (SpeedSample(t_ns, float(speed), max(float(accuracy), self._min_sigma), self._name),)
