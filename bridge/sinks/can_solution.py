@@ -3,15 +3,20 @@
 What is not known is not sent: a frame whose measured values are not all known and in range is
 left out of its epoch. SOL_TIME (mode) and SOL_HEADING (which carries the validity flags) are always
 there; an unknown heading is sent as 0 with its validity bit clear. A standard deviation that is unknown
-or beyond the signal's range is sent as the largest raw value, "that or more". Until there is a solution,
-the two constant frames are sent with every health report, so that the mode can be seen on the bus.
+or beyond the signal's range is sent as the largest raw value, "that or more", a smaller one than the signal
+can show as its smallest. Until there is a solution, the two constant frames are sent with every health
+report, so that the mode can be seen on the bus.
+
+In polar waters heading, velocity and, in the transverse frame, position are shown in the frame that the
+configuration chooses (`nav.polar`). Each message whose values depend on the frame says which it is, so that
+no reader can mix an old flag with new values.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Final, Literal
 
 from msgspec import Meta
 
@@ -27,11 +32,12 @@ from bridge.outputs import (
 )
 from bridge.sinks.base import SinkContext
 from dbc.codec import MessageCodec
+from nav import polar
+from nav.polar import Frame
 from nav.types import Mode, S, Solution, SolutionFlag
 
 _WEEK_NS = 7 * 86400 * 1_000_000_000
 _BRIDGE_TIME, _GPS_TIME = 0, 1
-_GEOGRAPHIC = 0
 _LOSS_MODULUS = 8192
 _TOTAL_MODULUS = 1 << 32
 _RECENT_LIMIT = 0xFFFF
@@ -52,17 +58,30 @@ EPOCH = (
     "SOL_SIGMA_VEL",
 )
 _ALWAYS = ("SOL_TIME", "SOL_HEADING")
+_FRAMES: Final = {"geographic": Frame.GEOGRAPHIC, "grid": Frame.GRID, "transverse": Frame.TRANSVERSE}
 
 
 class CanSolutionOptions(SinkOptions):
     """``[sink.NAME]`` with ``type = "can_solution"``.
 
     ``rate_hz`` is the rate of epochs; the navigator's own rate bounds it. ``id_offset`` shifts every
-    identifier.
+    identifier. ``polar`` is the frame shown from ``polar_enter_deg`` of latitude, north or south, until it
+    falls below ``polar_leave_deg``; in the grid frame position stays geographic.
     """
 
     rate_hz: Annotated[float, Meta(gt=0.0, le=1000.0)] = 50.0
     id_offset: Annotated[int, Meta(ge=0, le=0x5F0)] = 0
+    polar: Literal["geographic", "grid", "transverse"] = "geographic"
+    polar_enter_deg: Annotated[float, Meta(gt=0.0, le=90.0)] = 84.0
+    polar_leave_deg: Annotated[float, Meta(ge=0.0, lt=90.0)] = 83.5
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless the frame is left further from the pole than it is entered."""
+        if self.polar_leave_deg >= self.polar_enter_deg:
+            raise ValueError(
+                f"polar_leave_deg: found {self.polar_leave_deg:g}, "
+                f"expected less than polar_enter_deg = {self.polar_enter_deg:g}"
+            )
 
 
 class CanSolution:
@@ -73,6 +92,12 @@ class CanSolution:
         self._source = context.source
         self._offset = options.id_offset
         self._period_ns = round(1e9 / options.rate_hz)
+        self._frame = Frame.GEOGRAPHIC
+        self._polar = _FRAMES[options.polar]
+        self._enter, self._leave = (
+            math.radians(options.polar_enter_deg),
+            math.radians(options.polar_leave_deg),
+        )
         messages = context.contract
         self._epoch = [(messages[name], _sigmas(messages[name])) for name in EPOCH]
         self._rejects, self._health = messages["SOL_REJECTS"], messages["SOL_HEALTH"]
@@ -117,7 +142,8 @@ class CanSolution:
         return Transmit(self._source, codec.frame_id + self._offset, codec.encode(alive, *values))
 
     def _send_epoch(self, solution: Solution) -> list[Transmit]:
-        values = epoch_values(solution)
+        self._frame = polar.switch(solution.lat, self._frame, self._polar, self._enter, self._leave)
+        values = epoch_values(solution, self._frame)
         values["SOL_TIME"] = self._time_values(solution.t_ns, solution.mode)
         sent = []
         for codec, sigmas in self._epoch:
@@ -134,7 +160,7 @@ class CanSolution:
     def _send_status(self, t_ns: int) -> list[Transmit]:
         values = {
             "SOL_TIME": self._time_values(t_ns, self._mode),
-            "SOL_HEADING": (0.0, 0, _GEOGRAPHIC),
+            "SOL_HEADING": (0.0, 0, int(self._frame)),
         }
         sent = [
             self._transmit(codec, self._alive, values[codec.name])
@@ -187,47 +213,60 @@ def level_sigmas(solution: Solution) -> tuple[float, float, float]:
     return math.hypot(s * east, c * north), math.hypot(c * east, s * north), up
 
 
-def epoch_values(solution: Solution) -> dict[str, tuple[float | int, ...]]:
+def epoch_values(solution: Solution, frame: Frame = Frame.GEOGRAPHIC) -> dict[str, tuple[float | int, ...]]:
     """Signals of every frame of an epoch but SOL_TIME, in the units of the contract; NaN where unknown."""
     x = solution.state.tolist()
     degrees = math.degrees
     flags = solution.flags & 0xFFFF
-    heading = degrees(solution.heading)
+    heading, lat, lon, (east, north, up) = solution.heading, x[S.LAT], x[S.LON], x[S.V]
+    sigma_e, sigma_n, sigma_u = x[S.SIGMA_P]
+    sigma_ve, sigma_vn, sigma_vu = x[S.SIGMA_V]
+    place = Frame.GEOGRAPHIC
+    if frame is not Frame.GEOGRAPHIC:
+        seen = polar.view(frame, lat, lon, heading, (east, north, up))
+        heading, turn = float(seen.heading), float(seen.turn)
+        east, north, up = seen.v.tolist()
+        sigma_ve, sigma_vn = polar.turn_sigma(sigma_ve, sigma_vn, turn)
+        if frame is Frame.TRANSVERSE:
+            place, lat, lon = frame, float(seen.lat), float(seen.lon)
+            sigma_e, sigma_n = polar.turn_sigma(sigma_e, sigma_n, turn)
+    heading = degrees(heading)
     if not math.isfinite(heading):
         heading, flags = 0.0, flags & ~int(SolutionFlag.HEADING)
-    sigma_p, sigma_v = x[S.SIGMA_P], x[S.SIGMA_V]
     sigma_roll, sigma_pitch, sigma_heading = level_sigmas(solution)
     return {
         "SOL_LEVEL": (degrees(solution.roll), degrees(solution.pitch)),
-        "SOL_HEADING": (heading, flags, _GEOGRAPHIC),
-        "SOL_VEL_H": (x[3], x[4]),
-        "SOL_VEL_U": (x[5],),
-        "SOL_LAT": (degrees(x[S.LAT]), sigma_p[1]),
-        "SOL_LON": (degrees(x[S.LON]), sigma_p[0]),
-        "SOL_HEIGHT": (x[S.HEIGHT], sigma_p[2]),
+        "SOL_HEADING": (heading, flags, int(frame)),
+        "SOL_VEL_H": (east, north, int(frame)),
+        "SOL_VEL_U": (up,),
+        "SOL_LAT": (degrees(lat), sigma_n, int(place)),
+        "SOL_LON": (degrees(lon), sigma_e, int(place)),
+        "SOL_HEIGHT": (x[S.HEIGHT], sigma_u),
         "SOL_RATE": tuple(degrees(w) for w in x[S.W]),
         "SOL_FORCE": tuple(x[S.F]),
         "SOL_SIGMA_ATT": (degrees(sigma_roll), degrees(sigma_pitch), degrees(sigma_heading)),
-        "SOL_SIGMA_VEL": tuple(sigma_v),
+        "SOL_SIGMA_VEL": (sigma_ve, sigma_vn, sigma_vu, int(frame)),
     }
 
 
-def _sigmas(codec: MessageCodec) -> tuple[tuple[int, float], ...]:
-    """Place and largest value of each standard deviation in a message."""
+def _sigmas(codec: MessageCodec) -> tuple[tuple[int, float, float], ...]:
+    """Place, smallest step and largest value of each standard deviation in a message."""
     return tuple(
-        (place, float(signal.maximum))
+        (place, float(signal.factor), float(signal.maximum))
         for place, signal in enumerate(codec.info)
         if signal.name.startswith("SIGMA_")
     )
 
 
 def _saturated(
-    values: tuple[float | int, ...], sigmas: tuple[tuple[int, float], ...]
+    values: tuple[float | int, ...], sigmas: tuple[tuple[int, float, float], ...]
 ) -> tuple[float | int, ...]:
-    """``values`` with standard deviations that are unknown or too large replaced by the largest."""
+    """``values`` with standard deviations within what their signals can show, unknown ones at the largest."""
     limited = list(values)
-    for place, maximum in sigmas:
+    for place, step, maximum in sigmas:
         # asked this way round, so that what is not a number ends up as the largest as well
         if not 0.0 <= limited[place] <= maximum:
             limited[place] = maximum
+        elif 0.0 < limited[place] < step:
+            limited[place] = step
     return tuple(limited)

@@ -16,15 +16,17 @@ from bridge.outputs import DeviceHealth, FixOut, Health, ModeChange, Output, Rej
 from bridge.sinks import SINKS, SinkContext
 from bridge.sinks.can_solution import EPOCH, CanSolution, CanSolutionOptions
 from dbc.codec import contract
+from nav import earth, polar
+from nav.polar import Frame, View
 from nav.types import FixType, GnssFix, Mode, S, Solution, SolutionFlag
 from tests.sinks.made import out, solution, unknown
 
 DBC: Any = cantools.database.load_string((files("dbc") / "navbridge.dbc").read_text("cp1252"), "dbc")
 
 
-def sink(rate_hz: float = 50.0, id_offset: int = 0) -> CanSolution:
+def sink(rate_hz: float = 50.0, id_offset: int = 0, **more: Any) -> CanSolution:
     options = CanSolutionOptions(
-        type="can_solution", navigator="main", source="can0", rate_hz=rate_hz, id_offset=id_offset
+        type="can_solution", navigator="main", source="can0", rate_hz=rate_hz, id_offset=id_offset, **more
     )
     made = SINKS["can_solution"].factory(options, SinkContext("solution", 3))
     assert isinstance(made, CanSolution)
@@ -56,9 +58,9 @@ def test_epoch_is_read_back_by_cantools() -> None:
         ("SOL_VEL_H", "VEL_N"): (4.0, 5.1e-5),
         ("SOL_VEL_U", "VEL_U"): (-0.5, 5.1e-5),
         ("SOL_LAT", "LAT"): (48.14, 5.1e-9),
-        ("SOL_LAT", "SIGMA_N"): (0.5, 2.6e-3),
+        ("SOL_LAT", "SIGMA_N"): (0.5, 5.1e-3),
         ("SOL_LON", "LON"): (11.58, 5.1e-9),
-        ("SOL_LON", "SIGMA_E"): (0.4, 2.6e-3),
+        ("SOL_LON", "SIGMA_E"): (0.4, 5.1e-3),
         ("SOL_HEIGHT", "HEIGHT"): (600.0, 5.1e-4),
         ("SOL_HEIGHT", "SIGMA_U"): (0.9, 2.6e-3),
         ("SOL_RATE", "W_Z"): (math.degrees(0.03), 2.6e-3),
@@ -112,7 +114,7 @@ def test_what_is_unknown_is_not_sent() -> None:
     frames = read(sink().consume([out(unknown())]))
     assert set(frames) == {"SOL_TIME", "SOL_HEADING", "SOL_SIGMA_ATT", "SOL_SIGMA_VEL"}
     assert frames["SOL_HEADING"]["FLAGS"] == 0
-    assert frames["SOL_SIGMA_VEL"]["SIGMA_VE"] == pytest.approx(65.5355)
+    assert frames["SOL_SIGMA_VEL"]["SIGMA_VE"] == pytest.approx(32.7675)
     assert frames["SOL_SIGMA_ATT"]["SIGMA_HEADING"] == pytest.approx(262.143)
 
 
@@ -132,9 +134,10 @@ def test_unknown_heading_clears_its_flag_but_other_frames_go_out() -> None:
         max_size=S.SIZE,
     ),
     flags=st.integers(0, 0xFFFF),
+    frame=st.sampled_from(["geographic", "grid", "transverse"]),
 )
-def test_no_solution_makes_the_sink_raise(numbers: list[float], flags: int) -> None:
-    sent = sink().consume([out(Solution(7_000_000_000, Mode.DEGRADED, flags, np.array(numbers)))])
+def test_no_solution_makes_the_sink_raise(numbers: list[float], flags: int, frame: str) -> None:
+    sent = sink(polar=frame).consume([out(Solution(7_000_000_000, Mode.DEGRADED, flags, np.array(numbers)))])
     assert {"SOL_TIME", "SOL_HEADING"} <= set(read(sent))
 
 
@@ -174,3 +177,89 @@ def test_identifiers_shift_and_other_navigators_are_left_alone() -> None:
     assert sent[0].key == 0x240
     other = out(solution())
     assert sink().consume([type(other)("slave", other.solution, other.latest_rx_ns)]) == []
+
+
+DEPENDING = ("SOL_HEADING", "SOL_VEL_H", "SOL_LAT", "SOL_LON", "SOL_SIGMA_VEL")
+
+
+@pytest.mark.parametrize(("frame", "code"), [("grid", Frame.GRID), ("transverse", Frame.TRANSVERSE)])
+def test_across_the_switch_the_flag_goes_with_the_values(frame: str, code: Frame) -> None:
+    """North along a meridian and back: 83 to 85 deg, in and out again, with the same point and directions."""
+    can = sink(polar=frame)
+    lats = [*np.linspace(83.0, 85.0, 201), *np.linspace(85.0, 83.0, 201)]
+    shown = []
+    for k, lat_deg in enumerate(lats):
+        s = solution(
+            (k + 1) * 1_000_000_000,
+            lat_deg=float(lat_deg),
+            lon_deg=160.0,
+            v=(200.0, 150.0, -1.0),
+            heading_deg=50.0,
+        )
+        frames = read(can.consume([out(s)]))
+        flags = {name: Frame(int(frames[name]["FRAME"])) for name in DEPENDING}
+        now = flags["SOL_HEADING"]
+        place = Frame.GEOGRAPHIC if now is Frame.GRID else now
+        assert flags["SOL_VEL_H"] == flags["SOL_SIGMA_VEL"] == now
+        assert flags["SOL_LAT"] == flags["SOL_LON"] == place
+        shown.append(now)
+        # what a reader makes of the frames alone
+        lat, lon = math.radians(frames["SOL_LAT"]["LAT"]), math.radians(frames["SOL_LON"]["LON"])
+        heading, zero = math.radians(frames["SOL_HEADING"]["HEADING"]), np.zeros(1)
+        v = (frames["SOL_VEL_H"]["VEL_E"], frames["SOL_VEL_H"]["VEL_N"], frames["SOL_VEL_U"]["VEL_U"])
+        at = View(place, np.array(lat), np.array(lon), zero, zero, zero)
+        # half a raw step of 1.1 mm in either angle
+        there = earth.ecef(s.lat, s.lon, s.height)
+        assert np.linalg.norm(polar.position_e(at, s.height) - there) < 1e-3
+        if now is Frame.GRID:
+            at = at._replace(frame=now)
+        C = polar.axes_e(at)
+        C_eg = earth.position_matrix(s.lat, s.lon)
+        assert np.abs(C @ np.array(v) - C_eg @ s.v_g).max() < 1e-4
+        ahead = np.array([math.sin(heading), math.cos(heading), 0.0])
+        true = np.array([math.sin(s.heading), math.cos(s.heading), 0.0])
+        assert np.abs(C @ ahead - C_eg @ true).max() < 2e-7
+    first, last = shown.index(code), len(shown) - 1 - shown[::-1].index(code)
+    assert lats[first] == pytest.approx(84.0, abs=0.011)
+    assert lats[last] == pytest.approx(83.5, abs=0.011)
+    assert set(shown[first : last + 1]) == {code}
+    assert set(shown[:first] + shown[last + 1 :]) == {Frame.GEOGRAPHIC}
+
+
+def test_sigmas_follow_the_frame_of_their_message() -> None:
+    # at 90 deg east grid north is true east, and transverse north is true south
+    s = solution(lat_deg=88.0, lon_deg=90.0, sigma_p=(0.4, 0.8, 0.9))
+    expected = {
+        "geographic": (0.8, 0.4, 0.02, 0.03),
+        "grid": (0.8, 0.4, 0.03, 0.02),
+        "transverse": (0.8, 0.4, 0.02, 0.03),
+    }
+    for frame, (n, e, ve, vn) in expected.items():
+        frames = read(sink(polar=frame).consume([out(s)]))
+        assert frames["SOL_LAT"]["SIGMA_N"] == pytest.approx(n, abs=5.1e-3)
+        assert frames["SOL_LON"]["SIGMA_E"] == pytest.approx(e, abs=5.1e-3)
+        assert frames["SOL_SIGMA_VEL"]["SIGMA_VE"] == pytest.approx(ve, abs=2.6e-4)
+        assert frames["SOL_SIGMA_VEL"]["SIGMA_VN"] == pytest.approx(vn, abs=2.6e-4)
+    transverse = read(sink(polar="transverse").consume([out(solution(lat_deg=88.0, lon_deg=0.0))]))
+    assert transverse["SOL_SIGMA_VEL"]["SIGMA_VE"] == pytest.approx(0.03, abs=2.6e-4)
+
+
+def test_a_sigma_finer_than_the_signal_is_not_sent_as_none() -> None:
+    frames = read(sink().consume([out(solution(sigma_p=(0.001, 0.0, 0.001)))]))
+    assert frames["SOL_LON"]["SIGMA_E"] == pytest.approx(0.01)
+    assert frames["SOL_LAT"]["SIGMA_N"] == 0.0
+
+
+def test_at_the_pole_itself() -> None:
+    for lon_deg in (-180.0, -7.0, 0.0, 90.0, 180.0):
+        for lat_deg in (90.0, -90.0):
+            for frame in ("geographic", "grid", "transverse"):
+                frames = read(sink(polar=frame).consume([out(solution(lat_deg=lat_deg, lon_deg=lon_deg))]))
+                assert set(frames) == set(EPOCH)
+
+
+def test_limits_in_the_wrong_order_are_refused() -> None:
+    with pytest.raises(
+        ValueError, match="polar_leave_deg: found 84, expected less than polar_enter_deg = 84"
+    ):
+        sink(polar="grid", polar_leave_deg=84.0)
