@@ -7,12 +7,25 @@ from typing import Final
 
 import numpy as np
 
-from nav.earth import geodetic_to_xyz
+from nav.earth import geodetic_to_xyz, position_matrix
 from nav.filter.history import Timeline
 from nav.filter.settings import NavigatorConfig
-from nav.types import BaroSample, GnssFix, OdoSample, SpeedSample
+from nav.types import BaroSample, GnssFix, OdoSample, SpeedSample, Vector
 
 _JOIN_NS: Final = 20_000_000  # samples of the odometer that are this far apart do not follow each other
+_ZERO: Final = np.zeros(3)
+
+
+def earth_fixed(lat: float, lon: float, vector: Vector, sigmas: Vector) -> Vector:
+    """Components (9,) in Earth-fixed axes of what a receiver at ``lat``, ``lon`` (rad) says of itself.
+
+    First ``vector`` (3,) east, north, up of that place, then xx, xy, xz, yy, yz, zz of the covariance of
+    independent errors with ``sigmas`` (3,) along these axes. Next to a pole east and north of the receiver's
+    place are not those of the place where the filter believes to be.
+    """
+    C_eg = position_matrix(lat, lon)
+    covariance = (C_eg * np.square(sigmas)) @ C_eg.T
+    return np.concatenate([C_eg @ vector, covariance[0], covariance[1, 1:], covariance[2, 2:]])
 
 
 class Aiding:
@@ -46,17 +59,18 @@ class Aiding:
     def gnss(self, s: GnssFix) -> bool:
         """Enter the position of a fix, and its velocity when it has one."""
         config = self._config
-        z = np.zeros(7)
-        z[1:4] = geodetic_to_xyz(s.lat, s.lon, s.height)
         horizontal, vertical = config.gnss_correlated
         slow = np.array([horizontal, horizontal, vertical])
         white = np.sqrt(np.maximum(np.square(s.sigma_position) - slow**2, 0.0))
-        z[4:7] = np.maximum(white, config.gnss_position_floor)
+        white = np.maximum(white, config.gnss_position_floor)
+        z = np.zeros(10)
+        z[1:10] = earth_fixed(s.lat, s.lon, _ZERO, white)
+        z[1:4] = geodetic_to_xyz(s.lat, s.lon, s.height)
         used = self._timeline.measure("gnss_position", s.t_ns, z)
         if used and s.v_g is not None and s.sigma_velocity is not None:
-            z = np.zeros(7)
-            z[1:4] = s.v_g
-            z[4:7] = np.maximum(s.sigma_velocity, config.gnss_velocity_floor)
+            sigma = np.maximum(s.sigma_velocity, config.gnss_velocity_floor)
+            z = np.zeros(10)
+            z[1:10] = earth_fixed(s.lat, s.lon, np.asarray(s.v_g), sigma)
             self._timeline.measure("gnss_velocity", s.t_ns - round(config.gnss_velocity_age * 1e9), z)
         return used
 

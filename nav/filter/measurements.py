@@ -4,7 +4,7 @@ Every kernel has one signature: ``kernel(x, P, par, z, gate, out) -> nis``. ``z`
 documented per kernel; ``z[0]`` is always the time from the measurement to the state, s (a fraction of
 one update): the prediction is taken back by it. Residuals are computed minus measured. ``out`` (12,)
 receives residuals in 0..5 and their predicted sigmas in 6..11. When the NIS is above ``gate`` nothing
-changes.
+changes. A covariance in ``z`` is xx, xy, xz, yy, yz, zz, in Earth-fixed axes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from nav.earth import E2, EARTH_RATE, radii
+from nav.earth import E2, EARTH_RATE, curvature, radii
 from nav.filter.kalman import GATES, correct, update
 from nav.filter.states import (
     P_ARW,
@@ -71,16 +71,19 @@ def _matrix(q: Vector) -> Matrix:
 
 
 @kernel
-def _level_noise(C: Vector, e: float, n: float, u: float) -> Matrix:
-    """Covariance in n (3, 3) of independent errors with sigmas east, north, up."""
-    cos_lat = np.hypot(C[6], C[7])
-    sa, ca = (C[6] / cos_lat, C[7] / cos_lat) if cos_lat > 1e-14 else (0.0, 1.0)
-    R = np.zeros((3, 3))
-    R[0, 0] = ca * ca * e * e + sa * sa * n * n
-    R[1, 1] = sa * sa * e * e + ca * ca * n * n
-    R[0, 1] = ca * sa * (n * n - e * e)
-    R[1, 0] = R[0, 1]
-    R[2, 2] = u * u
+def _noise_in_n(C: Vector, e: Vector) -> Matrix:
+    """Covariance in n (3, 3) from its six elements xx, xy, xz, yy, yz, zz in Earth-fixed axes."""
+    M = np.empty((3, 3))
+    for j in range(3):
+        a, b, c = C[j], C[3 + j], C[6 + j]
+        M[0, j] = e[0] * a + e[1] * b + e[2] * c
+        M[1, j] = e[1] * a + e[3] * b + e[4] * c
+        M[2, j] = e[2] * a + e[4] * b + e[5] * c
+    R = np.empty((3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            R[i, j] = C[i] * M[0, j] + C[3 + i] * M[1, j] + C[6 + i] * M[2, j]
+            R[j, i] = R[i, j]
     return R
 
 
@@ -101,7 +104,7 @@ def _eb_rate(x: Vector) -> tuple[float, float, float]:
 
 @kernel
 def gnss_position(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
-    """Antenna position. ``z``: tau, Earth-fixed x, y, z (m), sigmas east, north, up (m) of the white part.
+    """Antenna position. ``z``: tau, Earth-fixed x, y, z (m), covariance of what is white in it.
 
     Residual in n. Groves, eqs. (14.103) and (14.109) in the wander frame, with the lever arm.
     """
@@ -133,27 +136,30 @@ def gnss_position(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
         for i in range(3):
             r[i] += x[X_GB + i]
             H[i, 25 + i] = 1.0
-    return _finish(x, P, H, r, _level_noise(C, z[4], z[5], z[6]), np.zeros((n, 3)), gate, out)
+    return _finish(x, P, H, r, _noise_in_n(C, z[4:10]), np.zeros((n, 3)), gate, out)
 
 
 @kernel
 def gnss_velocity(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
-    """Antenna velocity. ``z``: tau, velocity east, north, up (m/s), sigmas east, north, up (m/s).
+    """Antenna velocity. ``z``: tau, Earth-fixed x, y, z (m/s), its covariance.
 
-    Groves, eq. (14.104) with the lever arm's velocity.
+    Groves, eq. (14.104) with the lever arm's velocity. The axes of n are those of the computed place: an
+    error of position turns what was measured.
     """
     n = P.shape[0]
     C = x[X_C : X_C + 9]
-    cos_lat = np.hypot(C[6], C[7])
-    sa, ca = (C[6] / cos_lat, C[7] / cos_lat) if cos_lat > 1e-14 else (0.0, 1.0)
+    mx = C[0] * z[1] + C[3] * z[2] + C[6] * z[3]
+    my = C[1] * z[1] + C[4] * z[2] + C[7] * z[3]
+    mz = C[2] * z[1] + C[5] * z[2] + C[8] * z[3]
+    kxx, kxy, kyy = curvature(C[6], C[7], C[8], x[X_H])
     px, py, pz = par[P_LG], par[P_LG + 1], par[P_LG + 2]
     wx, wy, wz = _eb_rate(x)
     ux, uy, uz = rotate(x[0], x[1], x[2], x[3], wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
     tau = z[0]
     r = np.empty(3)
-    r[0] = x[X_V] + ux - x[X_A] * tau - (ca * z[1] + sa * z[2])
-    r[1] = x[X_V + 1] + uy - x[X_A + 1] * tau - (ca * z[2] - sa * z[1])
-    r[2] = x[X_V + 2] + uz - x[X_A + 2] * tau - z[3]
+    r[0] = x[X_V] + ux - x[X_A] * tau - mx
+    r[1] = x[X_V + 1] + uy - x[X_A + 1] * tau - my
+    r[2] = x[X_V + 2] + uz - x[X_A + 2] * tau - mz
     B = _matrix(x[X_Q : X_Q + 4])
     H = np.zeros((3, n))
     for i in range(3):
@@ -162,10 +168,14 @@ def gnss_velocity(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
         H[i, 9] = B[i, 1] * pz - B[i, 2] * py
         H[i, 10] = B[i, 2] * px - B[i, 0] * pz
         H[i, 11] = B[i, 0] * py - B[i, 1] * px
+    # dtheta x m, where n is turned by dtheta = up x (k dp)
+    H[0, 0], H[0, 1] = kxx * mz, kxy * mz
+    H[1, 0], H[1, 1] = kxy * mz, kyy * mz
+    H[2, 0], H[2, 1] = -kxy * my - kxx * mx, -kyy * my - kxy * mx
     H[0, 7], H[0, 8] = -uz, uy
     H[1, 6], H[1, 8] = uz, -ux
     H[2, 6], H[2, 7] = -uy, ux
-    return _finish(x, P, H, r, _level_noise(C, z[4], z[5], z[6]), np.zeros((n, 3)), gate, out)
+    return _finish(x, P, H, r, _noise_in_n(C, z[4:10]), np.zeros((n, 3)), gate, out)
 
 
 @kernel

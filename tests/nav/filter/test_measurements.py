@@ -6,6 +6,7 @@ import pytest
 from nav import earth
 from nav import rotation as rot
 from nav.filter import states as st
+from nav.filter.aiding import earth_fixed
 from nav.filter.measurements import MEASUREMENTS
 from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
 from tests.nav.filter.making import difference, disturbed, nominal
@@ -14,6 +15,7 @@ STEPS = np.concatenate(
     [[3.0] * 3, [0.3] * 3, [1e-4] * 3, [1e-4] * 3, [1e-3] * 3, [1e-3] * 3, [1.0], [1e-4] * 6]
 )
 T = 0.05
+SMALL = [1e-12, 0.0, 0.0, 1e-12, 0.0, 1e-12]
 
 
 def parameters():
@@ -39,13 +41,11 @@ def exact(kind, x, p):
     lat, lon, _ = earth.position_angles(C_en)
     w_eb = x[st.X_W : st.X_W + 3] - C_nb.T @ C_en.T @ [0, 0, earth.EARTH_RATE]
     lever = p[st.P_LG : st.P_LG + 3]
-    small = [1e-6] * 3
     if kind == "gnss_position":
         r = np.array(earth.geodetic_to_xyz(lat, lon, x[X_H])) + C_en @ C_nb @ lever
-        return x, np.array([0.0, *r, *small])
+        return x, np.array([0.0, *r, *SMALL])
     if kind == "gnss_velocity":
-        C_gn = earth.position_matrix(lat, lon).T @ C_en
-        return x, np.array([0.0, *(C_gn @ (x[X_V : X_V + 3] + C_nb @ np.cross(w_eb, lever))), *small])
+        return x, np.array([0.0, *(C_en @ (x[X_V : X_V + 3] + C_nb @ np.cross(w_eb, lever))), *SMALL])
     if kind == "barometer":
         return x, np.array([0.0, x[X_H] + x[st.X_BB], 1e-6])
     u = vehicle_velocity(x, p)
@@ -78,7 +78,7 @@ def with_path(x, u):
 
 SEEN = {
     "gnss_position": [0, 1, 2, 6, 7, 8],
-    "gnss_velocity": [3, 4, 5, 6, 7, 8, 9, 10, 11],
+    "gnss_velocity": [0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11],
     "barometer": [2, 18],
     "odometer": [3, 4, 5, 6, 7, 8, 15, 16, 17],
     "speed": [3, 4, 5, 6, 7, 8, 9, 10, 11, 15, 16, 17],
@@ -136,6 +136,48 @@ def test_position_between_two_epochs(tau):
     back = x[X_V : X_V + 3] * tau - 0.5 * x[st.X_A : st.X_A + 3] * tau**2
     r = np.array(earth.geodetic_to_xyz(lat, lon, x[X_H])) - C_eg @ back
     out = np.zeros(12)
-    z = np.array([tau, *r, 1.0, 1.0, 1.0])
+    z = np.array([tau, *r, *SMALL])
     MEASUREMENTS["gnss_position"].kernel(x.copy(), np.eye(st.FULL), p, z, -1.0, out)
     np.testing.assert_allclose(out[:3], 0.0, atol=1e-8)
+
+
+def test_what_a_receiver_says_of_itself_in_earth_fixed_axes():
+    """Components and covariance by matrices; at the pole east and north are those of the longitude."""
+    lat, lon, sigmas = np.pi / 2, 0.7, np.array([1.0, 2.0, 3.0])
+    z = earth_fixed(lat, lon, np.array([10.0, 20.0, 5.0]), sigmas)
+    # at the pole north points back along the meridian, east is where it is everywhere on it
+    east, north = np.array([-np.sin(lon), np.cos(lon), 0.0]), -np.array([np.cos(lon), np.sin(lon), 0.0])
+    np.testing.assert_allclose(z[:3], 10.0 * east + 20.0 * north + [0.0, 0.0, 5.0], atol=1e-14)
+    expected = np.outer(east, east) + 4.0 * np.outer(north, north) + np.diag([0.0, 0.0, 9.0])
+    np.testing.assert_allclose(z[3:], expected[np.triu_indices(3)], atol=1e-14)
+
+
+@pytest.mark.parametrize("wander", [-2.0, 0.4])
+def test_noise_is_turned_into_n(wander):
+    """With nothing known before, the covariance after a fix is the receiver's, along its own axes."""
+    x = nominal(lat=1.2, lon=2.5, wander=wander)
+    p = np.zeros(st.P_SIZE)
+    sigmas = np.array([0.3, 0.1, 0.2])
+    C_en = x[X_C : X_C + 9].reshape(3, 3)
+    v_g = earth.position_matrix(1.2, 2.5).T @ C_en @ x[X_V : X_V + 3]
+    z = np.array([0.0, *earth_fixed(1.2, 2.5, v_g, sigmas)])
+    P = np.zeros((st.FULL, st.FULL))
+    P[st.VELOCITY, st.VELOCITY] = 1e6 * np.eye(3)
+    MEASUREMENTS["gnss_velocity"].kernel(x, P, p, z, np.inf, np.zeros(12))
+    C_gn = earth.position_matrix(1.2, 2.5).T @ C_en
+    # P after = (P^-1 + R^-1)^-1: smaller than R by R / P
+    np.testing.assert_allclose(C_gn @ P[3:6, 3:6] @ C_gn.T, np.diag(sigmas**2), rtol=1e-6, atol=1e-8)
+
+
+def test_a_fix_across_the_pole_fits():
+    """The receiver is on one side of the pole, the filter believes to be on the other: two metres apart."""
+    x = nominal(lat=np.pi / 2 - 1.5e-7, lon=-1.0)
+    p = np.zeros(st.P_SIZE)
+    C_en = x[X_C : X_C + 9].reshape(3, 3)
+    v_e = C_en @ x[X_V : X_V + 3]
+    lat, lon = np.pi / 2 - 1.5e-7, 2.0
+    v_g = earth.position_matrix(lat, lon).T @ v_e
+    out = np.zeros(12)
+    z = np.array([0.0, *earth_fixed(lat, lon, v_g, np.full(3, 0.1))])
+    MEASUREMENTS["gnss_velocity"].kernel(x, np.eye(st.FULL), p, z, -1.0, out)
+    np.testing.assert_allclose(out[:3], 0.0, atol=1e-12)
