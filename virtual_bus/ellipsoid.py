@@ -24,17 +24,11 @@ G0: Final = 9.80665
 """Standard gravity, the unit behind g, mg and ug, m/s^2."""
 
 
-def radii(lat: Array) -> tuple[Array, Array, Array, Array]:
-    """Radii of curvature R_M, R_N (m) at ``lat`` (n,) rad, and their derivatives with latitude.
-
-    Groves 2013, eq. (2.105), (2.106).
-    """
-    sin_lat = np.sin(lat)
+def radii(sin_lat: Array) -> tuple[Array, Array]:
+    """Radii of curvature R_M, R_N (n,) m by the sine of latitude (n,). Groves 2013, eq. (2.105), (2.106)."""
     w2 = 1.0 - E2 * sin_lat * sin_lat
     r_n = A / np.sqrt(w2)
-    r_m = r_n * (1.0 - E2) / w2
-    slope = E2 * sin_lat * np.cos(lat) / w2
-    return r_m, r_n, 3.0 * r_m * slope, r_n * slope
+    return r_n * (1.0 - E2) / w2, r_n
 
 
 def normal_gravity(lat: Array, height: Array) -> Array:
@@ -96,3 +90,50 @@ def axes_eg(lat: Array, lon: Array) -> Array:
         ),
         axis=-2,
     )
+
+
+def axes_eh(lat: Array, lon: Array, pole: Array) -> Array:
+    """C_eh (n, 3, 3): level axes whose first points, level, to the Earth-fixed unit vector ``pole`` (3,).
+
+    With ``pole`` on the equator this is a graticule turned over: its own poles are at plus and minus
+    ``pole``, and the Earth's are places like others.
+    """
+    up = np.stack((np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)), axis=-1)
+    x = pole - (up @ pole)[..., None] * up
+    x = x / np.sqrt((x * x).sum(axis=-1, keepdims=True))
+    return np.stack((x, np.cross(up, x), up), axis=-1)
+
+
+def rate_eh(C_eh: Array, pole: Array, height: Array, v_h: Array, vdot_h: Array) -> tuple[Array, Array]:
+    """Rate w_eh_h (n, 3) rad/s of the axes of `axes_eh` under a point that moves, and its derivative.
+
+    ``height`` (n,) m, ``v_h`` (n, 3) m/s over the Earth, ``vdot_h`` (n, 3) the rates of its components. The
+    vertical turns by the curvature of the ellipsoid, written with the polar axis ``p`` in h instead of
+    latitude so that nothing is divided by its cosine: k v = v / (R_N + h) + p (p . v) (R_N - R_M) /
+    (cos^2 L (R_M + h) (R_N + h)), level parts. Differentiating x keeps it pointing to ``pole``.
+    """
+    p = C_eh[..., 2, :]
+    s = p[..., 2]
+    w2 = 1.0 - E2 * s * s
+    r_m, r_n = radii(s)
+    e_n, e_m = 1.0 / (r_n + height), 1.0 / (r_m + height)
+    extra = r_n * E2 / w2 * e_n * e_m
+    v, vdot, axis = v_h[..., :2], vdot_h[..., :2], p[..., :2]
+    along = (axis * v).sum(axis=-1)
+    up1 = e_n[..., None] * v + (extra * along)[..., None] * axis
+    # tangent of the angle from the graticule's own equator
+    sine = C_eh[..., :, 2] @ pole
+    tan = sine / np.sqrt(1.0 - sine * sine)
+    w_eh = np.stack((-up1[..., 1], up1[..., 0], -tan * up1[..., 1]), axis=-1)
+
+    p1 = np.cross(p, w_eh)
+    s1, v_u = p1[..., 2], v_h[..., 2]
+    slope = E2 * s * s1 / w2  # of the logarithm of 1/w
+    e_n1, e_m1 = -e_n * (r_n * slope + v_u), -e_m * (3.0 * r_m * slope + v_u)  # of the logarithms
+    extra1 = extra * (3.0 * slope + e_n1 + e_m1)
+    along1 = (p1[..., :2] * v).sum(axis=-1) + (axis * vdot).sum(axis=-1)
+    up2 = (e_n * e_n1)[..., None] * v + e_n[..., None] * vdot
+    up2 += (extra1 * along + extra * along1)[..., None] * axis + (extra * along)[..., None] * p1[..., :2]
+    tan1 = up1[..., 0] * (1.0 + tan * tan)
+    wdot = np.stack((-up2[..., 1], up2[..., 0], -tan1 * up1[..., 1] - tan * up2[..., 1]), axis=-1)
+    return w_eh, wdot

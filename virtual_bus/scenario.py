@@ -41,9 +41,12 @@ class Table(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
 
 class Start(Table):
-    """``[start]``: where and when; GPS time of the first instant."""
+    """``[start]``: where and when; GPS time of the first instant.
 
-    lat_deg: Annotated[float, Meta(ge=-89.0, le=89.0)]
+    ``heading_deg`` is true heading there (at a pole, along the meridian ``lon_deg``).
+    """
+
+    lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
     lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
     height_m: Annotated[float, Meta(ge=-1000.0, le=10_000.0)] = 0.0
     heading_deg: float = 0.0

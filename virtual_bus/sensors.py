@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_bus.ellipsoid import G0, radii
+from virtual_bus.ellipsoid import G0, axes_eg, axes_eh, to_geodetic
 from virtual_bus.faults import Faults, GnssJump, GnssOutage, GnssOutlier, StuckAccel, WheelSlip
 from virtual_bus.grades import DEG_PER_H, DEG_PER_SQRT_H, UG, Grade, ImuErrors
 from virtual_bus.truth import Trajectory
@@ -273,10 +273,13 @@ class Gnss:
         n, rng = len(t_ns), self.rng
         dt = float(t_ns[1] - t_ns[0]) * 1e-9 if n > 1 else 1.0
         h, v = self.errors.white
-        error = rng.standard_normal((n, 3)) * np.array([h, h, v])
+        slow = rng.standard_normal((n, 3)) * np.array([h, h, v])
         for k in range(n):
-            error[k] += self._correlated.step(dt)[1]
-        v_g = motion.v_g + rng.standard_normal((n, 3)) * self.errors.sigma_velocity()
+            slow[k] += self._correlated.step(dt)[1]
+        # errors that last are along axes that keep their direction over the ground, at a pole too
+        error_e = np.einsum("nij,nj->ni", axes_eh(motion.lat, motion.lon, self.trajectory.pole), slow)
+        error = np.zeros((n, 3))
+        noise = rng.standard_normal((n, 3)) * self.errors.sigma_velocity()
         for outlier in self.faults.of(GnssOutlier):
             hit = outlier.during(t_ns) & (rng.random(n) < outlier.probability)
             direction = rng.uniform(0.0, 2.0 * math.pi, n)
@@ -289,12 +292,8 @@ class Gnss:
             during = outage.during(t_ns)
             fix &= ~during
             silent |= during & outage.silent
-        r_m, r_n, _, _ = radii(motion.lat)
-        return GnssBlock(
-            lat=motion.lat + error[:, 1] / (r_m + motion.height),
-            lon=motion.lon + error[:, 0] / ((r_n + motion.height) * np.cos(motion.lat)),
-            height=motion.height + error[:, 2],
-            v_g=v_g,
-            fix=fix,
-            silent=silent,
-        )
+        C_eg = axes_eg(motion.lat, motion.lon)
+        lat, lon, height = to_geodetic(motion.r_e + error_e + np.einsum("nij,nj->ni", C_eg, error))
+        # a receiver says its velocity along east and north of where it thinks it is
+        v_g = np.einsum("nji,nj->ni", axes_eg(lat, lon), motion.v_e) + noise
+        return GnssBlock(lat=lat, lon=lon, height=height, v_g=v_g, fix=fix, silent=silent)

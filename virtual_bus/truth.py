@@ -5,6 +5,11 @@ integrated in Earth-fixed axes; attitude follows the profile, and body rate and 
 inertial unit, at its lever arm, come from analytic derivatives of both. Increments are integrals of
 Chebyshev fits over pieces of at most one second, so any interval costs the same and none is
 approximated by its neighbours.
+
+A profile's heading is measured in level axes h that are east-north-up at the start and go on from there as a
+graticule of their own, with its poles on the equator 90 degrees to the east and west of the start: true
+heading where the drive begins, and nearly a great circle for who drives straight on, over the Earth's poles
+too. What is told of the truth (heading, velocity) is geographic.
 """
 
 from __future__ import annotations
@@ -181,7 +186,8 @@ class Trajectory:
     """A profile driven over the ellipsoid from a starting point (rad, rad, m).
 
     Times are nanoseconds since the start of the scenario, ``t_ns`` (n,) int64 within
-    [0, ``profile.end_ns``]; what lies outside is taken at the nearest end.
+    [0, ``profile.end_ns``]; what lies outside is taken at the nearest end. ``pole`` (3,) is that of the
+    graticule in which headings are measured, in Earth-fixed axes.
     """
 
     def __init__(self, profile: Profile, vehicle: Vehicle, lat: float, lon: float, height: float) -> None:
@@ -196,6 +202,7 @@ class Trajectory:
         self._half = 0.5e-9 * np.diff(np.append(self._start_ns, profile.end_ns))
         self._solved = 0
         n = len(starts)
+        self.pole = np.array([-math.sin(lon), math.cos(lon), 0.0])  # east of the start
         self._r0 = np.empty((n + 1, 3))
         self._r0[0] = ellipsoid.to_ecef(np.array(lat), np.array(lon), np.array(height))
         # integrals over a piece, (coefficient, displacement | dtheta | dv)
@@ -275,11 +282,11 @@ class Trajectory:
         since = ((_X + 1.0) * self._half[a:b, None]).ravel()
         at = np.repeat(self._start_ns[a:b], NODES)
         profile = self.profile.channels(at, since)
-        v_g = self._velocity(profile)[0]
+        v_h = self._velocity(profile)[0]
         r = np.broadcast_to(self._r0[a], (b - a, NODES, 3)).copy()
         for _ in range(_PICARD):
             lat, lon, _h = ellipsoid.to_geodetic(r.reshape(-1, 3))
-            v_e = _up(ellipsoid.axes_eg(lat, lon), v_g).reshape(b - a, NODES, 3)
+            v_e = _up(ellipsoid.axes_eh(lat, lon, self.pole), v_h).reshape(b - a, NODES, 3)
             steps = half[:, 0] * np.einsum("k,pkc->pc", _AT_END, v_e)
             self._r0[a + 1 : b + 1] = self._r0[a] + np.cumsum(steps, axis=0)
             r = self._r0[a:b, None, :] + half * np.einsum("ik,pkc->pic", _AT_NODES, v_e)
@@ -292,7 +299,7 @@ class Trajectory:
 
     @staticmethod
     def _velocity(profile: Channels) -> tuple[Array, Array]:
-        """Velocity of the axle and its derivative (n, 3) in east-north-up."""
+        """Velocity of the axle (n, 3) in h, and the derivatives of its components."""
         c, c1, _c2, _c3 = profile
         s, psi, gam = c.T
         s1, psi1, gam1 = c1.T
@@ -304,20 +311,11 @@ class Trajectory:
     def _motion(self, profile: Channels, rolled: Array, r_axle: Array, point: Array) -> Motion:
         """Kinematics of ``point`` from the axle's Earth-fixed position, distance rolled and profile."""
         (s, psi, gam), (s1, psi1, gam1), (s2, psi2, gam2), (s3, psi3, _) = (c.T for c in profile)
-        v_g, vdot_g = self._velocity(profile)
+        v_h, vdot_h = self._velocity(profile)
         lat, lon, height = ellipsoid.to_geodetic(r_axle)
-        C_eg = ellipsoid.axes_eg(lat, lon)
-
-        # rate of the local axes over the Earth, and its derivative
-        r_m, r_n, r_m1, r_n1 = ellipsoid.radii(lat)
-        v_e, v_n, v_u = v_g.T
-        r_m, r_n = r_m + height, r_n + height
-        lat1, q, tan_lat = v_n / r_m, v_e / r_n, np.tan(lat)
-        lat2 = (vdot_g[:, 1] - lat1 * (r_m1 * lat1 + v_u)) / r_m
-        q1 = (vdot_g[:, 0] - q * (r_n1 * lat1 + v_u)) / r_n
-        w_eg_g = np.stack((-lat1, q, q * tan_lat), axis=-1)
-        wdot_eg_g = np.stack((-lat2, q1, q1 * tan_lat + q * lat1 * (1.0 + tan_lat**2)), axis=-1)
-        w_ie_g = OMEGA * np.stack((np.zeros_like(lat), np.cos(lat), np.sin(lat)), axis=-1)
+        C_eh = ellipsoid.axes_eh(lat, lon, self.pole)
+        w_eh_h, wdot_eh_h = ellipsoid.rate_eh(C_eh, self.pole, height, v_h, vdot_h)
+        w_ie_h = OMEGA * C_eh[:, 2, :]
 
         # attitude: heading, pitch (slope and squat), roll (lean), and two derivatives
         kp, kr = self.vehicle.pitch_per_accel, -self.vehicle.roll_per_accel
@@ -327,13 +325,13 @@ class Trajectory:
         if self.vehicle.crab is not None:
             crab, crab1, crab2 = self.vehicle.crab.angle(rolled, np.abs(s), np.sign(s) * s1)
             psi, psi1, psi2 = psi + crab, psi1 + crab1, psi2 + crab2
-        C_gv = _attitude(psi, pitch, roll)
+        C_hv = _attitude(psi, pitch, roll)
         sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
-        w_gv = np.stack(
+        w_hv = np.stack(
             (pitch1 * cr + psi1 * cp * sr, roll1 - psi1 * sp, pitch1 * sr - psi1 * cp * cr), axis=-1
         )
         mixed = psi2 * cp - psi1 * pitch1 * sp
-        wdot_gv = np.stack(
+        wdot_hv = np.stack(
             (
                 pitch2 * cr - pitch1 * roll1 * sr + mixed * sr + psi1 * cp * roll1 * cr,
                 roll2 - psi2 * sp - psi1 * pitch1 * cp,
@@ -342,28 +340,28 @@ class Trajectory:
             axis=-1,
         )
 
-        w_eg_v = _down(C_gv, w_eg_g)
-        w_ev = w_eg_v + w_gv
-        wdot_ev = _down(C_gv, wdot_eg_g) + _cross(w_eg_v, w_gv) + wdot_gv
-        w_ie_v = _down(C_gv, w_ie_g)
+        w_eh_v = _down(C_hv, w_eh_h)
+        w_ev = w_eh_v + w_hv
+        wdot_ev = _down(C_hv, wdot_eh_h) + _cross(w_eh_v, w_hv) + wdot_hv
+        w_ie_v = _down(C_hv, w_ie_h)
         lever = np.broadcast_to(point, w_ev.shape)
         swing = _cross(w_ev, lever)
-        v_v = _down(C_gv, v_g) + swing
-        accel_v = _down(C_gv, vdot_g + _cross(w_eg_g, v_g)) + _cross(wdot_ev, lever) + _cross(w_ev, swing)
-        r_e = r_axle + _up(C_eg, _up(C_gv, lever))
-        v_point_e = _up(C_eg, _up(C_gv, v_v))
+        v_v = _down(C_hv, v_h) + swing
+        accel_v = _down(C_hv, vdot_h + _cross(w_eh_h, v_h)) + _cross(wdot_ev, lever) + _cross(w_ev, swing)
+        r_e = r_axle + _up(C_eh, _up(C_hv, lever))
+        v_point_e = _up(C_eh, _up(C_hv, v_v))
         lat_p, lon_p, height_p = ellipsoid.to_geodetic(r_e)
         C_ep = ellipsoid.axes_eg(lat_p, lon_p)
         g_north, g_up = ellipsoid.gravity(lat_p, height_p)
         gravity_e = g_north[:, None] * C_ep[:, :, 1] + g_up[:, None] * C_ep[:, :, 2]
-        f_v = accel_v + 2.0 * _cross(w_ie_v, v_v) - _down(C_gv, _down(C_eg, gravity_e))
+        f_v = accel_v + 2.0 * _cross(w_ie_v, v_v) - _down(C_hv, _down(C_eh, gravity_e))
         return Motion(
             lat=lat_p,
             lon=lon_p,
             height=height_p,
             v_g=_down(C_ep, v_point_e),
             # against the local axes of the point itself, which differ from the axle's a metre away
-            C_gv=np.swapaxes(C_ep, 1, 2) @ C_eg @ C_gv,
+            C_gv=np.swapaxes(C_ep, 1, 2) @ C_eh @ C_hv,
             w_iv_v=w_ie_v + w_ev,
             f_v=f_v,
             r_e=r_e,

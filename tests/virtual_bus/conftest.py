@@ -21,7 +21,15 @@ from virtual_bus.truth import Trajectory, Vehicle, mounting_matrix, roll_per_acc
 LAT, LON, HEIGHT, HEADING = math.radians(48.0), math.radians(11.0), 500.0, 0.7
 
 
-def trajectory_of(manoeuvres, imu=(0.2, 1.5, 0.8), lean=(4.0, 2.0), lat=LAT, mounting=(2.0, -3.0, 10.0)):
+def trajectory_of(
+    manoeuvres,
+    imu=(0.2, 1.5, 0.8),
+    lean=(4.0, 2.0),
+    lat=LAT,
+    lon=LON,
+    heading=HEADING,
+    mounting=(2.0, -3.0, 10.0),
+):
     blends, speed = [], 0.0
     for manoeuvre in manoeuvres:
         part = manoeuvre.blends(speed)
@@ -33,7 +41,7 @@ def trajectory_of(manoeuvres, imu=(0.2, 1.5, 0.8), lean=(4.0, 2.0), lat=LAT, mou
         roll_per_accel=roll_per_accel(lean[0]),
         pitch_per_accel=roll_per_accel(lean[1]),
     )
-    return Trajectory(Profile(blends, heading=HEADING), vehicle, lat, LON, HEIGHT)
+    return Trajectory(Profile(blends, heading=heading), vehicle, lat, lon, HEIGHT)
 
 
 @pytest.fixture(scope="session")

@@ -105,7 +105,7 @@ def test_cut_and_extended(tmp_path):
     [
         (("lat_deg", "latitude"), r"own.toml: start\.\w+: found .* expected"),
         (("48.0", '"north"'), r"own.toml: start.lat_deg: found 'north', expected float"),
-        (("48.0", "95.0"), r"own.toml: start.lat_deg: found 95.0, expected float <= 89.0"),
+        (("48.0", "95.0"), r"own.toml: start.lat_deg: found 95.0, expected float <= 90.0"),
         (("48.0", "nan"), r"own.toml: start.lat_deg: found nan, expected a finite number"),
         (('"fog"', '"fgo"'), r'own.toml: grade: found "fgo", expected one of fog, mems, rlg'),
         (('"static"', '"hover"'), r'manoeuvre\[0\].kind: found "hover", expected one of accelerate, .*turn'),

@@ -12,8 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from tests.virtual_bus.conftest import trajectory_of
+from virtual_bus import ellipsoid
 from virtual_bus.faults import Faults, GnssJump, GnssOutage, GnssOutlier, StuckAccel, WheelSlip
 from virtual_bus.grades import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, GRADES, UG, draw_imu, ideal_imu
+from virtual_bus.manoeuvres import Accelerate, STurns
 from virtual_bus.sensors import (
     COUNT_MAX,
     Barometer,
@@ -257,6 +260,33 @@ def test_correlated_gnss_errors_are_correlated(rest):
     # 5000 s hold about 5000 / 20 / 2 independent values
     assert lag == pytest.approx(math.exp(-1.0), abs=5.0 / math.sqrt(125))
     assert east.std() == pytest.approx(1.0, rel=5.0 / math.sqrt(250))
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon"),
+    [(math.pi / 2 - 1e-5, 0.0), (-math.pi / 2, 1.0), (1.0, math.pi - 1e-6), (1.0, -math.pi + 1e-6)],
+)
+def test_a_receiver_at_a_pole_and_on_the_date_line(lat, lon):
+    """Over it and on: positions and velocities are valid, and their errors have their sigmas in space."""
+    ride = trajectory_of(
+        [Accelerate(duration_s=5.0, speed_m_s=30.0), STurns(duration_s=95.0, angle_deg=60.0, count=9)],
+        lat=lat,
+        lon=lon,
+        heading=0.02,
+    )
+    errors = GnssErrors(white=(0.5, 0.8), correlated=(0.3, 0.2), correlation_s=5.0, velocity=(0.03, 0.05))
+    t = np.arange(1, 1001) * 100_000_000
+    fixes = gnss(ride, errors).block(t)
+    assert np.abs(fixes.lat).max() <= math.pi / 2
+    assert np.abs(fixes.lon).max() <= math.pi
+    at = ride.motion(t, np.array([0.1, 0.7, 1.6]))
+    C_eg = ellipsoid.axes_eg(fixes.lat, fixes.lon)
+    apart = ellipsoid.to_ecef(fixes.lat, fixes.lon, fixes.height) - at.r_e
+    # correlated errors of 5 s: 100 s hold some twenty of them
+    assert np.sqrt((apart**2).sum(axis=1).mean()) == pytest.approx(math.sqrt(2 * 0.34 + 0.68), rel=0.1)
+    v_e = np.einsum("nij,nj->ni", C_eg, fixes.v_g)
+    off = np.einsum("nij,ni->nj", C_eg, v_e - at.v_e)
+    assert off.std(axis=0) == pytest.approx([0.03, 0.03, 0.05], rel=5.0 / math.sqrt(2000))
 
 
 def test_gnss_faults(rest):
