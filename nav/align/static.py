@@ -83,7 +83,7 @@ def coarse_step(state: Coarse, sample: Sample) -> tuple[Coarse, AlignStatus]:
     else:
         still, reason = watch.aid(state.still, sample)
     place = _place(config, still)
-    ready = still.seconds >= config.coarse_s - 0.5 * watch.BLOCK_S and float(still.piece[DT]) == 0.0
+    ready = still.seconds >= config.coarse_s - 0.5 * watch.BLOCK_S and float(still.block[DT]) == 0.0
     if reason is None and ready:
         if place is not None:
             reason = _implausible(config, still, place[0])
@@ -245,8 +245,9 @@ def fine_step(state: Fine, sample: Sample) -> tuple[Fine, AlignStatus]:
     """Propagate with every sample, observe zero velocity with every block."""
     if isinstance(sample, ImuSample):
         reason = watch.fault(sample)
-        still = watch.add(state.still, sample, state.x[_EPS], state.x[_NAB])
-        state = state._replace(still=still)
+        config, given, still, C, x, P, status, seconds = state
+        still = watch.add(still, sample, x[_EPS], x[_NAB])
+        state = Fine(config, given, still, C, x, P, status, seconds)
         if reason is None and watch.full(still):
             state, reason = _update(state)
     else:

@@ -10,6 +10,7 @@ import numpy as np
 from nav.align.level import gnss_speed
 from nav.align.preintegrate import DT, SIZE, P, R, V, empty, extend, sample_piece
 from nav.align.types import AlignConfig
+from nav.jit import kernel
 from nav.types import GnssFix, ImuFlag, ImuSample, OdoSample, SpeedSample, Vector
 
 BLOCK_S: Final = 1.0
@@ -21,16 +22,16 @@ SIGMAS: Final = 6.0
 _GAP: Final = int(ImuFlag.GAP)
 _SATURATED: Final = int(ImuFlag.SATURATED)
 _ZERO: Final = np.zeros(3)
-_NOTHING: Final = empty()
+_TURN: Final = slice(SIZE, SIZE + 3)  # rad, sum of the angle increments of a block, behind its piece
+_PUSH: Final = slice(SIZE + 3, SIZE + 6)  # m/s, likewise
+_NOTHING: Final = np.concatenate([empty(), np.zeros(6)])
 _NOWHERE: Final = np.full(3, math.inf)
 
 
 class Still(NamedTuple):
     """The open block, the means of the closed ones, and where GNSS says the antenna is."""
 
-    piece: Vector = _NOTHING  # of the open block
-    turned: Vector = _ZERO  # sum of angle increments of the block
-    pushed: Vector = _ZERO
+    block: Vector = _NOTHING  # the open one: its piece and the sums of its increments
     rate: Vector = _ZERO  # means over the closed blocks, b
     force: Vector = _ZERO
     seconds: float = 0.0
@@ -43,20 +44,37 @@ class Still(NamedTuple):
 
 def add(still: Still, sample: ImuSample, gyro_bias: Vector, accel_bias: Vector) -> Still:
     """Add an inertial sample to the open block."""
-    piece, total = np.empty(SIZE), still.piece.copy()
-    sample_piece(sample.dtheta, sample.dv, sample.dt, gyro_bias, accel_bias, piece)
-    extend(total, piece, _ZERO, _ZERO)
-    return still._replace(
-        piece=total,
-        turned=still.turned + sample.dtheta,
-        pushed=still.pushed + sample.dv,
-        t_ns=sample.t_ns,
-    )
+    t_ns, dt, dtheta, dv, _, _ = sample
+    before, rate, force, seconds, _, place, sigma_place, fixes, anchor = still
+    longer = np.empty(SIZE + 6)
+    _lengthen(before, dtheta, dv, dt, gyro_bias, accel_bias, _ZERO, longer)
+    return Still(longer, rate, force, seconds, t_ns, place, sigma_place, fixes, anchor)
+
+
+@kernel
+def _lengthen(
+    before: Vector,
+    dtheta: Vector,
+    dv: Vector,
+    dt: float,
+    gyro_bias: Vector,
+    accel_bias: Vector,
+    zero: Vector,
+    out: Vector,
+) -> None:
+    """The block ``before`` with one more sample, into ``out``."""
+    piece = np.empty(SIZE)
+    sample_piece(dtheta, dv, dt, gyro_bias, accel_bias, piece)
+    out[:] = before
+    extend(out, piece, zero, zero)
+    for i in range(3):
+        out[SIZE + i] += dtheta[i]
+        out[SIZE + 3 + i] += dv[i]
 
 
 def full(still: Still) -> bool:
     """Whether the open block has its length."""
-    return float(still.piece[DT]) >= BLOCK_S - 1e-6
+    return float(still.block[DT]) >= BLOCK_S - 1e-6
 
 
 def close(still: Still, config: AlignConfig) -> tuple[Still, str | None]:
@@ -65,11 +83,12 @@ def close(still: Still, config: AlignConfig) -> tuple[Still, str | None]:
     A block is compared with the mean of those before it: a net turn or push of the vehicle shows, engine
     and wind average out.
     """
-    dt = float(still.piece[DT])
+    dt = float(still.block[DT])
+    turned, pushed = still.block[_TURN], still.block[_PUSH]
     reason = None
     if still.seconds > 0.0:
-        turn = float(np.linalg.norm(still.turned - still.rate * dt))
-        push = float(np.linalg.norm(still.pushed - still.force * dt))
+        turn = float(np.linalg.norm(turned - still.rate * dt))
+        push = float(np.linalg.norm(pushed - still.force * dt))
         spread = math.sqrt(dt * (1.0 + dt / still.seconds))
         if turn > max(TURNED, SIGMAS * config.angle_random_walk * spread):
             reason = f"the vehicle turned by {math.degrees(turn):.2f} deg in {dt:.1f} s"
@@ -77,11 +96,9 @@ def close(still: Still, config: AlignConfig) -> tuple[Still, str | None]:
             reason = f"the vehicle was pushed: its velocity changed by {push:.2f} m/s in {dt:.1f} s"
     seconds = still.seconds + dt
     still = still._replace(
-        piece=empty(),
-        turned=np.zeros(3),
-        pushed=np.zeros(3),
-        rate=still.rate + (still.turned - still.rate * dt) / seconds,
-        force=still.force + (still.pushed - still.force * dt) / seconds,
+        block=_NOTHING,
+        rate=still.rate + (turned - still.rate * dt) / seconds,
+        force=still.force + (pushed - still.force * dt) / seconds,
         seconds=seconds,
     )
     return still, reason
@@ -124,5 +141,5 @@ def aid(still: Still, sample: object) -> tuple[Still, str | None]:
 
 def block(still: Still) -> tuple[Vector, Vector, Vector, float]:
     """Rotation (3, 3), velocity (3,), displacement (3,) in b at the block's start, and its seconds."""
-    p = still.piece
+    p = still.block
     return p[R].reshape(3, 3), p[V], p[P], float(p[DT])

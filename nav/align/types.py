@@ -155,7 +155,9 @@ def advance(run: Run, sample: Sample) -> tuple[Run, AlignStatus]:
         state = stages[0].init(run.config, None)
         return Run(run.alignment, run.config, 0, state, run.restarts + 1), status._replace(progress=0.0)
     if not status.done:
-        return run._replace(state=state), status._replace(progress=progress)
+        # for nearly every sample: written out, which is faster than replacing by name
+        run = Run(run.alignment, run.config, run.stage, state, run.restarts)
+        return run, AlignStatus(status.estimate, status.covariance, status.limit, progress, False)
     if run.stage + 1 == len(stages):
         return run._replace(state=state), status._replace(progress=1.0)
     given = stages[run.stage].finish(state)
