@@ -30,8 +30,23 @@ class FigureModule(Protocol):
 FIGURES: Final[dict[str, Figure]] = {
     "coning": Figure(
         "bridge.studies.figures.coning",
-        "coefficients and drift of the one- to five-sample coning algorithms",
+        "coefficients and drift of the one- to five-sample coning algorithms; sculling",
         "Yan Gongmin 2008, Tables 7-1 and 7-2",
+    ),
+    "polar": Figure(
+        "bridge.studies.figures.polar",
+        "24 h of pure inertial navigation across pole, date line and equator, under four azimuth laws",
+        "truth in closed form",
+    ),
+    "schuler": Figure(
+        "bridge.studies.figures.schuler",
+        "errors at rest over a day: closed forms, matrix exponential and the kernel",
+        'textbook chapter "Inertial navigation", Tables 2-9 and 2-10, eqs. (2-93), (2-98), (2-104)',
+    ),
+    "platform": Figure(
+        "bridge.studies.figures.platform",
+        "heading error of a gimballed platform at high latitudes: not turned, turned, swung",
+        "Zhao Wangyang et al. 2021, Table 1",
     ),
 }
 """Name on the command line to figure."""
