@@ -33,7 +33,8 @@ def make_sources(config: Config, engine: Engine, clock: Clock, wall: WallClock) 
     """Every source of ``config``, none of them open; raises ConfigError where one cannot be."""
     sources = []
     for number, (name, options) in enumerate(config.sources.items(), start=1):
-        context = SourceContext(number, name, clock, wall, engine.accept.get(number))
+        accept, secret = engine.accept.get(number), config.keys.get(name)
+        context = SourceContext(number, name, clock, wall, accept, secret)
         try:
             sources.append(SOURCES[options.type](options, context))
         except ConfigError as error:

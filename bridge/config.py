@@ -8,6 +8,7 @@ and ``[sink.NAME]``. Files that it names are sought beside it, then among the pa
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +18,14 @@ import msgspec
 import tomli_w
 
 from bridge.errors import ConfigError
-from bridge.options import SOURCE_OPTIONS, DeviceOptions, NavigatorOptions, SinkOptions, SourceOptions
+from bridge.options import (
+    SOURCE_OPTIONS,
+    DeviceOptions,
+    MavlinkSource,
+    NavigatorOptions,
+    SinkOptions,
+    SourceOptions,
+)
 from bridge.strict import convert, one_of, parse, plain, unknown, wrong
 from bridge.wire import DBC_ATTACHMENT, read_contract
 from dbc.codec import Contract, contract
@@ -37,6 +45,7 @@ class Config:
     ``file`` is the name that error messages give it. ``files`` holds the files that devices and sinks
     name, by the name their options hold; names are unique, so the whole can be kept as a flat set of
     attachments. ``contract`` is what frames on the bus mean: the packaged one, in a replay the capture's.
+    ``keys`` are the secrets of the sources that have one, which no attachment ever holds.
     """
 
     file: str
@@ -46,6 +55,7 @@ class Config:
     sinks: dict[str, SinkOptions]
     files: dict[str, bytes]
     contract: Contract = field(default_factory=contract)
+    keys: dict[str, bytes] = field(default_factory=dict, repr=False)
 
     @classmethod
     def load(cls, where: str | Path) -> Config:
@@ -65,7 +75,8 @@ class Config:
                 f"{', '.join(packaged_files())}"
             )
 
-        return _build(_bytes(path), path.name, read)
+        config = _build(_bytes(path), path.name, read)
+        return replace(config, keys=_keys(config, path))
 
     @classmethod
     def from_attachments(cls, attachments: Mapping[str, bytes]) -> Config:
@@ -222,6 +233,26 @@ def _build(data: bytes, file: str, read: Reader) -> Config:
             raise unknown(file, f"{key}.navigator", sink.navigator, navigators)
         sinks[name] = files.collect(sink, key)
     return Config(file, sources, devices, navigators, sinks, files.found)
+
+
+def _keys(config: Config, path: Path) -> dict[str, bytes]:
+    """The keys in the files that sources name, which are sought beside the configuration at ``path``."""
+    keys = {}
+    for name, options in config.sources.items():
+        if isinstance(options, MavlinkSource) and options.signing_key_file is not None:
+            where = path.parent / options.signing_key_file
+            key = f"{path.name}: source.{name}.signing_key_file"
+            try:
+                digits = where.read_text("ascii").strip()
+            except OSError as error:
+                raise ConfigError(f"{key}: {where} cannot be read: {error.strerror}") from error
+            except UnicodeDecodeError:
+                digits = ""
+            if re.fullmatch("[0-9a-fA-F]{64}", digits) is None:
+                # what was found is not shown: it may be a key all the same
+                raise ConfigError(f"{key}: {where}: expected 64 hexadecimal digits and nothing else")
+            keys[name] = bytes.fromhex(digits)
+    return keys
 
 
 def _section(document: dict[str, Any], section: str, file: str) -> dict[str, dict[str, Any]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -100,6 +101,8 @@ class Engine:
         self._unknown = 0
         self._dropped = 0
         self._unrecorded = 0
+        self._refused: Counter[str] = Counter()
+        self._names = dict(enumerate(config.sources, start=1))
         self._drivers = build_drivers(config)
         self._lines = [
             _Line(name, build_navigator(name, config), DigestChain(name), self._sensors(name, config))
@@ -234,7 +237,7 @@ class Engine:
             for line in self._waiting:
                 self._take_all(line, line.navigator.start(now), out)
             return
-        out.append(Health(now, devices, self._unknown, self._dropped, self._unrecorded))
+        out.append(Health(now, devices, self._unknown, self._dropped, self._unrecorded, dict(self._refused)))
         for name, driver in self._drivers.items():
             notes = driver.counters.notes
             if notes:
@@ -308,10 +311,23 @@ class Engine:
                 self._order(_command(body), out)
         return None
 
+            case Event.REFUSED:
+                return self._refuse(body)
 
 def _command(body: Mapping[str, Any]) -> Command:
     """A console's request; ValueError or KeyError where there is no such command."""
     return Command(CommandCode[str(body["command"]).upper()])
+    def _refuse(self, body: dict[str, Any]) -> tuple[Severity, str] | None:
+        reason, name = str(body["reason"]), self._names[body["source"]]
+        unit = "packets" if "packets" in body else "bytes"
+        count = int(body[unit])
+        self._refused[reason] += count
+        stem = f"{name}: refused, {reason}"
+        if self._now < self._quiet_until.get(stem, 0):
+            return None
+        self._quiet_until[stem] = self._now + QUIET_NS
+        return Severity.WARNING, f"{stem}: {count} {unit if count > 1 else unit[:-1]}"
+
 
 
 def build_drivers(config: Config) -> dict[str, Driver]:

@@ -41,8 +41,7 @@ class Event(IntEnum):
     DROPPED = 3  # source, frames: the kernel or the driver lost this many
     BUS_STATE = 4  # source, state, text
     PEER = 5  # source, text: a MAVLink peer appeared or went
-    REFUSED = 6  # source, key, reason: a packet the border turned away
-    COMMAND = 7  # command, arguments: what an operator asked for at the console
+    REFUSED = 6  # source, reason, packets (or bytes, of what was none): turned away since the last of these
+    COMMAND = 7  # command: what an operator asked for at the console
     CLOCK_STEP = 8  # step_ns: the wall clock jumped against the monotonic one
     UNRECORDED = 9  # frames: lost to the recorder just before this frame
-    TX_STAMP = 10  # source, key, tx_ns

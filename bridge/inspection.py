@@ -100,6 +100,7 @@ class Report:
     dropped_frames: int = 0
     unrecorded_frames: int = 0
     unknown_frames: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
     streams: list[StreamReport] = field(default_factory=list)
     devices: list[DeviceReport] = field(default_factory=list)
     buses: list[BusReport] = field(default_factory=list)
@@ -154,6 +155,7 @@ class _Reading:
         self.events: Counter[int] = Counter()
         self.zero_sigmas: Counter[tuple[str, str]] = Counter()
         self.dropped = self.unrecorded = self.unknown = self.frames = 0
+        self.refused: Counter[str] = Counter()
         self._now_ns = 0
         self.begin_ns = self.end_ns = 0
         self.takers: defaultdict[tuple[int, int], list[str]] = defaultdict(list)
@@ -207,15 +209,18 @@ class _Reading:
 
     def _event(self, frame: RawFrame) -> None:
         self.events[frame.key] += 1
-        if frame.key in (Event.DROPPED, Event.UNRECORDED):
-            try:
-                count = int(json.loads(frame.data)["frames"])
-            except (ValueError, KeyError, TypeError):
-                return
-            if frame.key == Event.DROPPED:
-                self.dropped += count
-            else:
-                self.unrecorded += count
+        try:
+            body = json.loads(frame.data) if frame.data else {}
+            match frame.key:
+                case Event.DROPPED:
+                    self.dropped += int(body["frames"])
+                case Event.UNRECORDED:
+                    self.unrecorded += int(body["frames"])
+                case Event.REFUSED:
+                    unit = "packets" if "packets" in body else "bytes"
+                    self.refused[f"{body['reason']} ({unit})"] += int(body[unit])
+        except (ValueError, KeyError, TypeError):
+            return
 
     def summarise(
         self, report: Report, sources: Mapping[int, str], names: FrameDecoder, config: Config | None
@@ -228,6 +233,7 @@ class _Reading:
         report.events = {_event_name(key): count for key, count in sorted(self.events.items())}
         report.dropped_frames, report.unrecorded_frames = self.dropped, self.unrecorded
         report.unknown_frames = self.unknown
+        report.refused = dict(self.refused)
         for (source, key), times in sorted(self.times.items()):
             if source != BRIDGE:
                 rate, gaps, longest = _regularity(times)

@@ -244,6 +244,7 @@ def health_document(health: Health) -> dict[str, Any]:
         "unknown_frames": health.unknown_frames,
         "dropped_frames": health.dropped_frames,
         "unrecorded_frames": health.unrecorded_frames,
+        "refused": health.refused,
         "devices": {
             name: {
                 **{

@@ -33,12 +33,20 @@ class CanSource(SourceOptions):
 
 
 class MavlinkSource(SourceOptions):
-    """A MAVLink link through pymavlink; ``system_id`` and ``component_id`` are those we send with."""
+    """A MAVLink link; ``system_id`` and ``component_id`` are those we send with.
+
+    With ``signing_key_file`` (64 hexadecimal digits, the file beside the configuration) what is sent is
+    signed, and only packets that are signed with the same key are let in, or with ``accept_unsigned`` those
+    without any signature too. ``max_rate_hz`` bounds the packets let in, a second's worth at once.
+    """
 
     url: str
     system_id: SystemId = 1
     component_id: SystemId = 1
     baud: Annotated[int, Meta(gt=0)] = 57600
+    signing_key_file: str | None = None
+    accept_unsigned: bool = False
+    max_rate_hz: Annotated[float, Meta(ge=1.0)] = 5000.0
 
 
 SOURCE_OPTIONS: dict[str, type[SourceOptions]] = {"can": CanSource, "mavlink": MavlinkSource}

@@ -99,13 +99,17 @@ class DeviceHealth:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """Once a second: every device, the bus and the recorder."""
+    """Once a second: every device, the bus and the recorder.
+
+    ``refused`` counts by reason the packets that the border turned away; what was no packet, in bytes.
+    """
 
     t_ns: int
     devices: dict[str, DeviceHealth]
     unknown_frames: int
     dropped_frames: int
     unrecorded_frames: int
+    refused: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

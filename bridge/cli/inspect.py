@@ -51,6 +51,9 @@ def show(report: Report, console: Console) -> None:
         console.print("[yellow]the run did not end in order[/yellow]")
     if report.events:
         console.print("events: " + ", ".join(f"{name} {count}" for name, count in report.events.items()))
+    if report.refused:
+        parts = ", ".join(f"{count} {reason}" for reason, count in report.refused.items())
+        console.print(f"refused at the border: {escape(parts)}")
     for table in (_streams(report), _devices(report), _buses(report), _latency(report)):
         if table.row_count:
             console.print()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from bridge.clock import Clock, WallClock
@@ -26,7 +26,8 @@ class Notice(NamedTuple):
 class SourceContext:
     """What a source is built from besides its options.
 
-    ``accept`` holds the keys that somebody subscribed to; None lets everything through.
+    ``accept`` holds the keys that somebody subscribed to; None lets everything through. ``key`` is the
+    secret of a link with signatures.
     """
 
     number: int
@@ -34,6 +35,7 @@ class SourceContext:
     clock: Clock
     wall: WallClock
     accept: frozenset[int] | None = None
+    key: bytes | None = field(default=None, repr=False)
 
 
 class Source(Protocol):

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol
 
-READ_BYTES: Final = 65536
-BURST: Final = 200
+READ_BYTES: Final = 4096
+"""Largest chunk, so that even one full of noise is gone through in milliseconds."""
+BURST: Final = 20
 """Chunks that one `Transport.receive` returns at most; fewer mean that none was left."""
 RETRY_NS: Final = 1_000_000_000
 """Time between two attempts to get a lost connection back."""
@@ -35,6 +36,10 @@ class Transport(Protocol):
 
     def receive(self, now_ns: int) -> list[Chunk]:
         """What has arrived; also the moment to look after lost connections."""
+        ...
+
+    def heard(self, peer: str, now_ns: int) -> None:
+        """A packet of ``peer``, named as in its chunk, was good: one that listens answers it from now on."""
         ...
 
     def send(self, data: bytes) -> bool:

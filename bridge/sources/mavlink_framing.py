@@ -12,8 +12,12 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 _V1: Final = 0xFE
 _V2: Final = 0xFD
-_SIGNED: Final = 0x01
-_SIGNATURE: Final = 13
+V2: Final = b"\xfd"
+"""First byte of a MAVLink 2 packet."""
+SIGNED: Final = 0x01
+"""Flag of a packet with a signature, in its third byte."""
+SIGNATURE: Final = 13
+"""Bytes behind the checksum: link, stamp and signature."""
 _EXTRA: Final[dict[int, int]] = {number: kind.crc_extra for number, kind in dialect.mavlink_map.items()}
 
 
@@ -90,6 +94,13 @@ class Framer:
         return True
 
 
+def seal(packet: bytes) -> bytes:
+    """A packet with the checksum that its other bytes ask for; its message is one of the dialect's."""
+    body = packet[:-2]
+    extra = _EXTRA[_message(bytearray(packet), 0)]
+    return body + int(dialect.x25crc(body[1:] + bytes((extra,))).crc).to_bytes(2, "little")
+
+
 def _message(buffer: bytearray, at: int) -> int:
     if buffer[at] == _V1:
         return buffer[at + 5]
@@ -102,9 +113,9 @@ def _length(buffer: bytearray, at: int) -> int | None:
         return None
     if buffer[at] == _V1:
         return buffer[at + 1] + 8
-    if buffer[at + 2] & ~_SIGNED:
+    if buffer[at + 2] & ~SIGNED:
         return 0  # flags that say the packet cannot be understood
-    return buffer[at + 1] + 12 + (_SIGNATURE if buffer[at + 2] & _SIGNED else 0)
+    return buffer[at + 1] + 12 + (SIGNATURE if buffer[at + 2] & SIGNED else 0)
 
 
 def _check(buffer: bytearray, at: int, length: int) -> Packet | None:
@@ -113,7 +124,7 @@ def _check(buffer: bytearray, at: int, length: int) -> Packet | None:
     if extra is None:
         return None
     data = bytes(buffer[at : at + length])
-    checked = length - (_SIGNATURE if data[0] == _V2 and data[2] & _SIGNED else 0)
+    checked = length - (SIGNATURE if data[0] == _V2 and data[2] & SIGNED else 0)
     crc = dialect.x25crc(data[1 : checked - 2] + bytes((extra,))).crc
     if data[checked - 2] | data[checked - 1] << 8 != crc:
         return None

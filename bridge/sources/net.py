@@ -24,7 +24,7 @@ Address = tuple[str, int]
 
 
 class Udp:
-    """Datagrams: bound and answering whoever spoke last, or towards one address.
+    """Datagrams: bound and answering those who sent something good of late, or towards one address.
 
     The socket is never connected: an unreachable peer is then not an error of ours.
     """
@@ -74,8 +74,6 @@ class Udp:
                     seconds, nanoseconds = _STAMP.unpack_from(value)
                     utc_ns = seconds * 1_000_000_000 + nanoseconds
             address = (str(source[0]), int(source[1]))
-            if self._listen:
-                self._remember(address, now_ns)
             chunks.append(Chunk(utc_ns, f"{address[0]}:{address[1]}", data))
         return chunks
 
@@ -89,6 +87,12 @@ class Udp:
                 self._socket.sendto(data, address)
                 sent = True
         return sent
+
+    def heard(self, peer: str, now_ns: int) -> None:
+        """A listening link sends to ``peer`` from now on."""
+        if self._listen:
+            host, _, port = peer.rpartition(":")
+            self._remember((host, int(port)), now_ns)
 
     def news(self) -> list[str]:
         """Nothing: datagrams know no connection."""
@@ -155,6 +159,9 @@ class Tcp:
         self._backlog += data
         self._push()
         return True
+
+    def heard(self, peer: str, now_ns: int) -> None:
+        """Nothing: a connection is with one peer."""
 
     def news(self) -> list[str]:
         """Connections made and lost."""

@@ -73,6 +73,9 @@ class Serial:
         except OSError:
             return False
 
+    def heard(self, peer: str, now_ns: int) -> None:
+        """Nothing: a line has two ends."""
+
     def news(self) -> list[str]:
         """The line lost and found."""
         told = list(self._news)

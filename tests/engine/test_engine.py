@@ -133,13 +133,15 @@ def test_events_of_the_border_are_counted_and_told() -> None:
         event(Event.CLOCK_STEP, START_NS, step_ns=-2_500_000_000),
         event(Event.BUS_STATE, START_NS, source=1, state="off", text="bus off"),
         event(Event.PEER, START_NS, source=1, text="a peer"),
-        event(Event.REFUSED, START_NS, source=1, key=1, reason="signature"),
-        event(Event.TX_STAMP, START_NS, source=1, key=1, tx_ns=1),
+        event(Event.REFUSED, START_NS, source=1, reason="not signed", packets=1),
+        event(Event.REFUSED, START_NS + 1, source=1, reason="not signed", packets=4),
+        event(Event.REFUSED, START_NS + 1, source=1, reason="no packet", bytes=17),
         event(Event.TICK, START_NS + 2 * S),
     ]
     outputs = fed(engine, frames)
     (health,) = of(Health, outputs)
     assert (health.dropped_frames, health.unrecorded_frames) == (7, 3)
+    assert health.refused == {"not signed": 5, "no packet": 17}
     texts = of(Text, outputs)
     assert [t.severity for t in texts] == [
         Severity.WARNING,
@@ -147,8 +149,13 @@ def test_events_of_the_border_are_counted_and_told() -> None:
         Severity.NOTICE,
         Severity.WARNING,
         Severity.INFO,
+        Severity.WARNING,
+        Severity.WARNING,
     ]
     assert "-2.500 s" in texts[2].text
+    # the same again is counted, and not said again so soon
+    assert texts[5].text == "can0: refused, not signed: 1 packet"
+    assert texts[6].text == "can0: refused, no packet: 17 bytes"
 
 
 def test_events_that_make_no_sense_stop_nothing() -> None:
@@ -222,9 +229,9 @@ def test_commands_on_can() -> None:
 
 def test_commands_from_the_console() -> None:
     engine = Engine(bench_config())
-    outputs = fed(engine, [event(Event.COMMAND, START_NS, command="stop", arguments={})])
+    outputs = fed(engine, [event(Event.COMMAND, START_NS, command="stop")])
     assert of(ModeChange, outputs)[-1].new is Mode.STANDBY
-    outputs = fed(engine, [event(Event.COMMAND, START_NS, command="restart", arguments={})])
+    outputs = fed(engine, [event(Event.COMMAND, START_NS, command="restart")])
     assert of(ModeChange, outputs)[-1].new is Mode.ALIGN
 
 
