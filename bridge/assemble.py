@@ -100,12 +100,13 @@ class Bridge:
         self,
         *,
         bench: Bench | None = None,
+        sources: Sequence[Source] = (),
         sinks: Sequence[Sink] = (),
     ) -> Live:
-        """The loop over these parts; ``sinks`` come on top of the configured ones."""
+        """The loop over these parts; ``sources`` and ``sinks`` come on top of the configured ones."""
         return Live(
             engine=self.engine,
-            sources=self.sources,
+            sources=[*self.sources, *sources],
             sinks=[*self.sinks, *sinks],
             clock=self.clock,
             wall=self.wall,

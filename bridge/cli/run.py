@@ -15,7 +15,8 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         "run",
         help="run the bridge on real buses",
         description="Run the bridge that a configuration describes until Ctrl-C, SIGTERM or --seconds, and "
-        "print the digest of the solution at the end.",
+        "print the digest of the solution at the end. Typed into its terminal, the words start, stop and "
+        "restart are commands to every navigator.",
     )
     parser.add_argument("config", metavar="CONFIG", help="a packaged configuration or a TOML file")
     parser.add_argument("--out", metavar="FILE.mcap", help="record a capture")
@@ -38,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from bridge.config import Config
     from bridge.realtime import RealTime
     from bridge.report import Printer, explain_wait, outcome_lines
+    from bridge.sources.console import at_terminal
 
     real_time = RealTime(args.realtime_priority, args.cpu, args.lock_memory)
     config = Config.load(args.config)
@@ -45,7 +47,8 @@ def run(args: argparse.Namespace) -> int:
     with Bridge(config, HostClock(), out=args.out) as bridge:
         for refusal in real_time.apply():  # now: the recorder's thread is not to have the priority
             print(f"navbridge: {refusal}", file=sys.stderr)
-        outcome = bridge.live(sinks=[Printer(sys.stderr)]).run(args.seconds)
+        with at_terminal(bridge.clock, bridge.wall, sys.stderr) as console:
+            outcome = bridge.live(sources=console, sinks=[Printer(sys.stderr)]).run(args.seconds)
     unrecorded = bridge.recorder.unrecorded if bridge.recorder is not None else 0
     for line in outcome_lines(outcome, unrecorded):
         print(line)
