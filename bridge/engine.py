@@ -307,16 +307,12 @@ class Engine:
                 return Severity.WARNING, f"bus {body['source']}: {body['text']}"
             case Event.PEER:
                 return Severity.INFO, str(body["text"])
+            case Event.REFUSED:
+                return self._refuse(body)
             case Event.COMMAND:
                 self._order(_command(body), out)
         return None
 
-            case Event.REFUSED:
-                return self._refuse(body)
-
-def _command(body: Mapping[str, Any]) -> Command:
-    """A console's request; ValueError or KeyError where there is no such command."""
-    return Command(CommandCode[str(body["command"]).upper()])
     def _refuse(self, body: dict[str, Any]) -> tuple[Severity, str] | None:
         reason, name = str(body["reason"]), self._names[body["source"]]
         unit = "packets" if "packets" in body else "bytes"
@@ -328,6 +324,10 @@ def _command(body: Mapping[str, Any]) -> Command:
         self._quiet_until[stem] = self._now + QUIET_NS
         return Severity.WARNING, f"{stem}: {count} {unit if count > 1 else unit[:-1]}"
 
+
+def _command(body: Mapping[str, Any]) -> Command:
+    """A console's request; ValueError or KeyError where there is no such command."""
+    return Command(CommandCode[str(body["command"]).upper()])
 
 
 def build_drivers(config: Config) -> dict[str, Driver]:
