@@ -15,6 +15,7 @@ from bridge.strict import unknown, wrong
 from nav.align import ALIGNMENTS, AlignConfig
 from nav.navigator import ImuErrors, Navigator, NavigatorConfig
 from nav.rotation import dcm_from_euler
+from nav.strapdown.azimuth import AZIMUTH_LAWS
 from nav.types import Vector
 
 _DEG: Final = math.pi / 180.0
@@ -37,7 +38,8 @@ def build_navigator(name: str, config: Config) -> Navigator:
     """The navigator of one ``[navigator.NAME]``, in STANDBY.
 
     Raises:
-        ConfigError: an unknown alignment, no IMU or two, or an aid missing that the alignment needs.
+        ConfigError: an unknown alignment or azimuth law, no IMU or two, an aid missing that the alignment
+            needs, or values that do not go together.
     """
     return Navigator(navigator_config(name, config))
 
@@ -68,6 +70,7 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
             f"{config.file}: {key}.align.position_deg_m: found nothing, expected a position, "
             "as no device provides gnss"
         )
+    _check_updates(config.file, key, options)
     C_vb = _mounting(options)
     errors = _imu_errors(options)
     gnss_lever_arm = np.array(options.gnss_lever_arm_m)
@@ -101,10 +104,26 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         zero_rate=options.zero_rate_sigma_deg_per_s * _DEG or None,
         rest_gyro=None if options.rest_gyro_deg_per_s is None else options.rest_gyro_deg_per_s * _DEG,
         rest_accel=options.rest_accel_m_s2,
+        azimuth=options.azimuth,
+        azimuth_rate=options.azimuth_rate_deg_per_h * _DEG_PER_H,
+        samples_per_update=options.samples_per_update,
         baro_bias=options.barometer_bias_m,
         gap_limit=options.gap_limit_s,
         align=_align(options, errors, gnss_lever_arm, C_vb),
     )
+
+
+def _check_updates(file: str, key: str, options: NavigatorOptions) -> None:
+    if options.azimuth not in AZIMUTH_LAWS:
+        raise unknown(file, f"{key}.azimuth", options.azimuth, AZIMUTH_LAWS)
+    rate = options.azimuth_rate_deg_per_h
+    if AZIMUTH_LAWS[options.azimuth].turns != (rate != 0.0):
+        expected = "0 with this azimuth law" if rate else "a rate other than 0 with this azimuth law"
+        raise wrong(file, f"{key}.azimuth_rate_deg_per_h", rate, f"{expected} ({options.azimuth})")
+    imu = options.imu_errors
+    if options.samples_per_update == 1 and max(imu.gyro_vibration, imu.accel_vibration) > 0.0:
+        expected = "2 or more with a vibration in imu_errors, which shows between samples"
+        raise wrong(file, f"{key}.samples_per_update", 1, expected)
 
 
 def _patience(timeout_s: float, provided: bool) -> float | None:

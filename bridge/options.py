@@ -141,6 +141,11 @@ class NavigatorOptions(Table):
     ``rest_gyro_deg_per_s`` and ``rest_accel_m_s2`` (standard deviations of the vectors): by default what an
     alignment in motion saw, axis by axis, while the vehicle stood, or else 0.6 deg/s and 0.15 m/s^2.
 
+    ``azimuth`` is the law by which the navigation frame turns about the vertical: what is put out is the same
+    with all of them, but north stops near a pole; rotating turns by ``azimuth_rate_deg_per_h`` more. A
+    solution comes with every ``samples_per_update`` inertial samples, which coning and sculling are computed
+    from.
+
     A navigator is DEGRADED when an aid is missing for longer than its ``timeout_s``: 0 means that it is not
     counted on; by default an aid that a device of the navigator provides is.
     """
@@ -171,5 +176,8 @@ class NavigatorOptions(Table):
     rest_gyro_deg_per_s: Positive | None = None
     rest_accel_m_s2: Positive | None = None
     gap_limit_s: Positive = 3.0
+    azimuth: str = "wander"
+    azimuth_rate_deg_per_h: float = 0.0
+    samples_per_update: Annotated[int, Meta(ge=1, le=6)] = 2
     imu_errors: ImuErrors = field(default_factory=ImuErrors)
     align: AlignOptions = field(default_factory=AlignOptions)

@@ -2,7 +2,8 @@
 
 A pure fold: no clock is read, nothing is drawn. Modes: STANDBY until `Navigator.start`, ALIGN until the
 alignment hands over, then NAVIGATE; CATCH_UP while late data is worked in, DEGRADED while an aid that the
-configuration counts on is missing, FAULT when the state is no longer a number.
+configuration counts on is missing, FAULT when the state is no longer a number or the azimuth law is about
+to fail.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from nav.filter.report import solution_covariance
 from nav.filter.settings import ImuErrors, NavigatorConfig, align_config, parameters
 from nav.filter.standstill import Rest, Standstill
 from nav.rotation import dcm_from_quat, quat_from_dcm
+from nav.strapdown.azimuth import NorthLawRefusal, refuse_latitude
 from nav.types import (
     BaroSample,
     FixType,
@@ -56,12 +58,15 @@ class Navigator:
     def __init__(self, config: NavigatorConfig) -> None:
         self.config = config
         self.mode = Mode.STANDBY
-        self._timeline = Timeline(config.states, parameters(config), config.lockout, config.replay_updates)
+        self._samples = config.samples_per_update
+        self._timeline = Timeline(
+            config.states, parameters(config), config.lockout, config.replay_updates, self._samples
+        )
         self._aiding = Aiding(config, self._timeline)
         self._standstill = Standstill(config)
         self._events: list[NavEvent] = []
         self._runs: list[Run] = []
-        self._first: ImuSample | None = None
+        self._pending: list[ImuSample] = []
         self._imu_ns: int | None = None
         self._check_ns = 0
         self._gap_ns: int | None = None
@@ -98,8 +103,9 @@ class Navigator:
     def step(self, sample: Sample) -> list[NavEvent]:
         """Take one sample, in the order of arrival; returns what came of it.
 
-        A solution comes with every second inertial sample. Aids may be late: they are used at their own
-        time, as far back as the history reaches (2048 updates); later than that they are refused.
+        A solution comes with every navigation update, by default with every second inertial sample. Aids
+        may be late: they are used at their own time, as far back as the history reaches (2048 updates);
+        later than that they are refused.
         """
         mode = self.mode
         if mode is Mode.STANDBY or mode is Mode.FAULT:
@@ -112,7 +118,7 @@ class Navigator:
             self._aligning(sample)
         else:
             self._aid(sample)
-        if self._timeline.behind:
+        if self._timeline.behind and self.mode is not Mode.FAULT:
             self._catch_up()
         return self._drain()
 
@@ -136,7 +142,7 @@ class Navigator:
         """Run these alignments side by side: the first to end hands over, the first named is reported."""
         config = align_config(self.config)
         self._runs = [begin(ALIGNMENTS[name], config) for name in dict.fromkeys(names)]
-        self._first = None
+        self._pending = []
         self._check_ns = t_ns
         self._change(t_ns, Mode.ALIGN, reason)
 
@@ -171,13 +177,14 @@ class Navigator:
         self._timeline.rest[:] = 0.0
         self._standstill = Standstill(self.config, init)
         self._search = MountingSearch()
-        self._first = None
+        self._pending = []
         self._imu_ns = init.t_ns
         self._check_ns = init.t_ns
         self._gap_ns = self._rest_ns = self._degraded = None
         self._aiding.begin(init.t_ns, mounted)
         self._flags = int(_ALIGNED)
         self._change(init.t_ns, Mode.NAVIGATE, reason)
+        self._stay_below(init.t_ns, init.lat)
 
     # ---- inertial samples ----------------------------------------------------------------------
 
@@ -198,20 +205,25 @@ class Navigator:
         if self.mode is Mode.ALIGN:
             self._aligning(s)
             return
-        first = self._first
-        if first is None:
-            self._first = s
+        pending = self._pending
+        pending.append(s)
+        if len(pending) < self._samples:
             return
-        self._first = None
-        flags = first.flags | s.flags
+        self._pending = []
+        flags, dt = 0, 0.0
+        for sample in pending:
+            flags |= sample.flags
+            dt += sample.dt
         noise = 1.0 if not flags & (_BRIDGED | _SATURATED) else (1e4 if flags & _SATURATED else 100.0)
-        row = self._timeline.advance(t, first.dt + s.dt, noise, (first, s))
+        row = self._timeline.advance(t, dt, noise, pending)
         if row is None:
             self._change(t, Mode.FAULT, "the state is not finite")
             return
         if t >= self._check_ns:
             self._check_ns = t + _CHECK_NS
             self._check(t, row)
+            if self.mode is Mode.FAULT:
+                return
         if self._timeline.rest[0] >= self.config.rest_interval - 1e-6:
             self._interval(t, row[S.V], float(row[19]))
         if not self._aiding.mounted:
@@ -223,9 +235,9 @@ class Navigator:
         if self.mode is Mode.ALIGN:
             # the alignment's stages judge gaps by the times of their samples
             return
-        first, self._first = self._first, None
-        if first is not None:
-            self._timeline.advance(last, first.dt, 1.0, (first,))
+        pending, self._pending = self._pending, []
+        if pending:
+            self._timeline.advance(last, sum(sample.dt for sample in pending), 1.0, pending)
         if silent > self.config.gap_limit * 1e9:
             # it may stand or be on its way: whichever alignment can end takes over
             self._align(t, f"no inertial data for {silent * 1e-9:.1f} s", self.config.alignment, "motion")
@@ -289,8 +301,15 @@ class Navigator:
 
     # ---- every tenth of a second ---------------------------------------------------------------
 
+    def _stay_below(self, t: int, lat: float) -> None:
+        try:
+            refuse_latitude(self.config.azimuth, lat)
+        except NorthLawRefusal as refusal:
+            self._change(t, Mode.FAULT, str(refusal))
+
     def _check(self, t: int, row: Vector) -> None:
         config, timeline = self.config, self._timeline
+        self._stay_below(t, row[0])
         if not self._aiding.mounted:
             mounting = self._search.look(row)
             if mounting is not None:

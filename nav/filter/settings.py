@@ -10,6 +10,8 @@ import numpy as np
 
 from nav.align.types import AlignConfig
 from nav.filter import states as st
+from nav.strapdown.azimuth import azimuth_control
+from nav.strapdown.coning import MOST_SAMPLES
 from nav.types import Vector
 
 _TURN: Final = 1.0  # rad
@@ -82,7 +84,12 @@ class NavigatorConfig:
     - ``lockout``: a measurement refused for this long is believed after all, with inflated covariance
     - ``heading_limit`` rad: sigma below which the heading is called valid
     - ``replay_updates``: most stored updates that one call works off
+    - ``azimuth``: law of `nav.strapdown.azimuth`; ``azimuth_rate`` rad/s of a rotating one.
+      ``samples_per_update``: 1 to 6, order of the coning and sculling algorithms
     - ``align``: what the alignment needs beyond this; None: its own defaults
+
+    Raises ValueError for an azimuth law, a rate or a number of samples that there is not, and for one
+    sample an update with vibration.
     """
 
     imu: ImuErrors
@@ -124,7 +131,17 @@ class NavigatorConfig:
     lockout: float = 3.0
     heading_limit: float = math.radians(10.0)
     replay_updates: int = 64
+    azimuth: str = "wander"
+    azimuth_rate: float = 0.0
+    samples_per_update: int = 2
     align: AlignConfig | None = None
+
+    def __post_init__(self) -> None:
+        azimuth_control(self.azimuth, self.azimuth_rate)
+        if not 1 <= self.samples_per_update <= MOST_SAMPLES:
+            raise ValueError(f"{self.samples_per_update} samples an update, expected 1 to {MOST_SAMPLES}")
+        if self.samples_per_update == 1 and max(self.imu.gyro_vibration, self.imu.accel_vibration) > 0.0:
+            raise ValueError("vibration shows between the samples of an update, and one sample has no other")
 
     @property
     def states(self) -> int:
@@ -159,6 +176,7 @@ def parameters(config: NavigatorConfig) -> Vector:
     p[st.P_SLIP] = config.slip
     p[st.P_GAP_W] = config.gap_rate
     p[st.P_GAP_A] = config.gap_accel
+    p[st.P_U :] = azimuth_control(config.azimuth, config.azimuth_rate)
     imu = config.imu
     p[st.P_ARW] = imu.angle_random_walk
     p[st.P_VIB_G] = imu.gyro_vibration

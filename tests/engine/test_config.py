@@ -59,6 +59,14 @@ def test_the_example_is_in_order(tmp_path: Path) -> None:
         ('"gnss", "baro"]', '"gnss", "gnss"]', ["navigator.main.devices[3]", "once"]),
         ('["imu", "odometer"', '["odometer"', ["navigator.main.devices", "no IMU", "exactly one"]),
         ('alignment = "static"', 'alignment = "statik"', ["navigator.main.alignment", 'mean "static"']),
+        ("alignment =", 'azimuth = "freee"\nalignment =', ["navigator.main.azimuth", 'mean "free"']),
+        (
+            "alignment =",
+            "azimuth_rate_deg_per_h = 60.0\nalignment =",
+            ["navigator.main.azimuth_rate_deg_per_h", "60.0", "(wander)"],
+        ),
+        ("alignment =", 'azimuth = "rotating"\nalignment =', ["azimuth_rate_deg_per_h", "other than 0"]),
+        ("alignment =", "samples_per_update = 7\nalignment =", ["navigator.main.samples_per_update", "<= 6"]),
         ("[-0.5, -0.5, 1.1]", "[-0.5, -0.5]", ["navigator.main.gnss_lever_arm_m", "length 3"]),
         ("[-0.5, -0.5, 1.1]", '[-0.5, "x", 1.1]', ["navigator.main.gnss_lever_arm_m[1]", '"x"', "a number"]),
         (
@@ -157,6 +165,11 @@ def test_units_of_a_navigator(tmp_path: Path) -> None:
     np.testing.assert_allclose(config.C_vb @ [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], atol=1e-15)
     assert config.odometer
     assert config.odometer_quantum == 0.02
+    assert (config.azimuth, config.samples_per_update) == ("wander", 2)
+    turning = 'azimuth = "rotating"\nazimuth_rate_deg_per_h = 60.0\nsamples_per_update = 4\nalignment ='
+    config = navigator_config("main", built(tmp_path, BENCH.replace("alignment =", turning, 1)))
+    assert config.azimuth_rate == pytest.approx(math.radians(1.0 / 60.0))
+    assert config.samples_per_update == 4
 
 
 def test_equal_names_of_different_files_are_kept_apart(tmp_path: Path) -> None:
