@@ -95,7 +95,7 @@ class Engine:
 
     def __init__(self, config: Config, *, warm: bool = True) -> None:
         self._now = 0
-        self._next_health: int | None = None
+        self._next_health = 0  # engine time, so at the first frame
         self._silence: Silence | None = None
         self._quiet_until: dict[str, int] = {}
         self._unknown = 0
@@ -128,8 +128,10 @@ class Engine:
             else:
                 keys = {key for source, key in self._routes if source == number}
                 self.accept[number] = frozenset(keys | {self._command_codec.frame_id})
+        self._heard = frozenset((BRIDGE, *self.peers) if self.peers else ())  # sources that peers listen to
         if warm:
-            warm_up()
+            # a navigator that was cut off aligns in motion, whatever it began with
+            warm_up(frozenset(("motion", *(each.alignment for each in config.navigators.values()))))
 
     def _sensors(self, name: str, config: Config) -> dict[str, Counters]:
         kinds = provided(name, config)
@@ -151,7 +153,7 @@ class Engine:
 
     def feed(self, frame: RawFrame) -> Sequence[Output]:
         """What follows from one more frame."""
-        _, rx_ns, source, key, _ = frame
+        seq, rx_ns, source, key, data = frame
         if rx_ns > self._now:
             self._now = rx_ns
         elif rx_ns < self._now:
@@ -159,14 +161,17 @@ class Engine:
                 for route in self._routes.get((source, key), ()):
                     route.driver.counters.reject(Reject.STALE)
                 return _NOTHING
-            frame = frame._replace(rx_ns=self._now)
+            frame = RawFrame(seq, self._now, source, key, data)
         out: list[Output] = []
-        if self._next_health is None or rx_ns >= self._next_health:
+        if self._now >= self._next_health:
             self._second(out)
         routes = self._routes.get((source, key))
         if routes is not None:
             for feed, _, lines in routes:
-                for sample in feed(frame):
+                samples = feed(frame)
+                if not samples:
+                    continue
+                for sample in samples:
                     if type(sample) is GnssFix:
                         out.append(FixOut(self._now, sample.device, sample))
                     for line in lines:
@@ -178,7 +183,7 @@ class Engine:
                 self._can_command(frame, out)
             else:
                 self._unknown += 1
-        if self.peers:
+        if source in self._heard:
             self._ask_peers(frame, out)
         return out
 

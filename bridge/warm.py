@@ -18,16 +18,19 @@ _RADIUS: Final = 6.37e6
 
 
 @cache
-def warm_up() -> None:
-    """Drive throw-away navigators through everything that a real one may do, a few seconds each."""
-    for name in ALIGNMENTS:
+def warm_up(alignments: frozenset[str] = frozenset(ALIGNMENTS)) -> None:
+    """Drive throw-away navigators through everything that a real one may do, a few seconds each.
+
+    ``alignments`` are the names of those that can come to pass.
+    """
+    for name in sorted(alignments):
         # found mounting and scale states are other paths through the same kernels
         for C_vb, scale in ((np.eye(3), 0.0), (None, 1e-4)):
             navigator = Navigator(_config(name, C_vb, scale))
             navigator.start(0)
             for sample in _journey():
                 navigator.step(sample)
-    navigator = Navigator(_config("static", np.eye(3), 1e-4))
+    navigator = Navigator(_config("motion", np.eye(3), 1e-4))
     navigator.begin(_start())
     for sample in _journey():
         navigator.step(sample)

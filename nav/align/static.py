@@ -15,7 +15,6 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 
 from nav.align import still as watch
 from nav.align.fit import skew
@@ -260,6 +259,9 @@ def fine_step(state: Fine, sample: Sample) -> tuple[Fine, AlignStatus]:
 
 def _update(state: Fine) -> tuple[Fine, str | None]:
     """One block: strapdown, prediction, zero velocity, feedback."""
+    # here and not above: it brings all of SciPy's statistics, 0.7 s that other alignments have no use for
+    from filterpy.kalman import KalmanFilter
+
     config, given = state.config, state.given
     rotation, dv, _, dt = watch.block(state.still)
     still, reason = watch.close(state.still, config)
