@@ -129,3 +129,14 @@ def test_cells_that_differ_say_why(computed: Callable[[str], Result]) -> None:
     why = {row.name: row.why for row in computed("coning").rows if row.why}
     assert set(why) == {'1" N=1', '1" N=3', '1" N=4', '1" N=5', "1' N=5", "10 deg N=5"}
     assert "exponent" in why["10 deg N=5"]
+
+
+def test_sculling_is_rectified_as_the_closed_form_says(computed: Callable[[str], Result]) -> None:
+    """1 deg, 10 Hz, 1 g, samples of 5 ms, by hand: alpha (a + alpha g) x^5 / (480 Omega T), x = 0.2 pi."""
+    rows = {row.name: row for row in computed("coning").rows}
+    alpha, omega, update, g = math.radians(1.0), 20.0 * math.pi, 0.01, 9.80665
+    x = omega * update
+    classical = alpha * (g + alpha * 9.806) * x**5 / (480.0 * omega * update) / g * 1e6
+    assert 0.5 < rows["shaken N=2 sculling"].ours / classical < 2.0
+    classical = alpha**2 * x**5 / 960.0 / update * 60.0 * 648_000.0 / math.pi
+    assert rows["shaken N=2 coning"].ours == pytest.approx(classical, rel=0.02)
