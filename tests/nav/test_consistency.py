@@ -21,10 +21,13 @@ SCALE, MOUNTING = 1e-3, 0.02
 LEVER = np.array([0.3, -0.5, 1.0])
 
 
-def run(seed, wheel):
-    """One drive; returns error and covariance of all states that were disturbed, and the NIS by kind."""
+def run(seed, wheel, place=(0.8, 0.2), fixes_hz=4.0):
+    """One drive about ``place`` (rad).
+
+    Returns error and covariance of all states that were disturbed, and the NIS by kind.
+    """
     rng = np.random.default_rng(seed)
-    drive = Drive(C_vb=rot.dcm_from_euler(0.5, 0.1, -0.1), nod=0.0)
+    drive = Drive(*place, C_vb=rot.dcm_from_euler(0.5, 0.1, -0.1), nod=0.0)
     error = rng.normal(size=15) * SIGMAS
     scale_g, scale_a = rng.normal(size=3) * SCALE, rng.normal(size=3) * SCALE
     mu, odo_scale = rng.normal(size=2) * MOUNTING, rng.normal() * 0.01
@@ -48,7 +51,8 @@ def run(seed, wheel):
     )
     navigator = Navigator(config)
     navigator.begin(hand_over(drive, error=error, sigmas=SIGMAS))
-    aids = [(t, fix(drive, t, LEVER, rng=rng)) for t in 0.25 * np.arange(1, 4 * SECONDS) + 0.0033]
+    epochs = np.arange(1, round(fixes_hz * SECONDS)) / fixes_hz + 0.0033
+    aids = [(t, fix(drive, t, LEVER, rng=rng)) for t in epochs]
     if wheel:
         for t in 0.2 * np.arange(1, 5 * SECONDS) + 0.0021:
             d = (rolled(drive, t - 0.2, t) + 0.2 * 0.1 * rng.normal()) / (1.0 + odo_scale)
@@ -88,12 +92,20 @@ def band(dof):
     return (1 - a - 3.29 * math.sqrt(a)) ** 3, (1 - a + 3.29 * math.sqrt(a)) ** 3
 
 
+GROUPS = {
+    "all": slice(None),
+    "position": slice(0, 3),
+    "velocity": slice(3, 6),
+    "phi": slice(6, 9),
+    "gyro bias": slice(9, 12),
+    "accel bias": slice(12, 15),
+}
+
+
 @pytest.mark.parametrize("wheel", [False, True])
 def test_errors_are_what_the_covariance_says(wheel):
     runs = [run(seed, wheel) for seed in range(SEEDS)]
-    groups = {"all": slice(None), "position": slice(0, 3), "velocity": slice(3, 6), "phi": slice(6, 9)}
-    groups |= {"gyro bias": slice(9, 12), "accel bias": slice(12, 15)}
-    for name, part in groups.items():
+    for name, part in GROUPS.items():
         total, dof = 0.0, 0
         for e, P, _ in runs:
             total += e[part] @ np.linalg.solve(P[part, part], e[part])
@@ -106,3 +118,37 @@ def test_errors_are_what_the_covariance_says(wheel):
         if len(nis):
             low, high = band(rows * len(nis))
             assert low < np.mean(nis) / rows < high, (kind, np.mean(nis) / rows)
+
+
+def claimed(runs):
+    """Rms sigmas over runs, of both level axes together: how n stands about the vertical is no matter."""
+    variance = np.mean([np.diag(P) for _, P, _ in runs], axis=0)
+    for level in (slice(0, 2), slice(3, 5), slice(6, 8)):
+        variance[level] = np.mean(variance[level])
+    return np.sqrt(variance)
+
+
+@pytest.fixture(scope="module")
+def at_mid_latitude():
+    return claimed([run(seed, False, fixes_hz=1.0) for seed in range(8)])
+
+
+@pytest.mark.parametrize(
+    "place",
+    [(np.pi / 2, 0.0), (-np.pi / 2, 1.0), (1.0, np.pi), (0.0, 0.0)],
+    ids=["north pole", "south pole", "date line", "equator"],
+)
+def test_no_place_on_earth_is_special(place, at_mid_latitude):
+    """The eight begins at the pole or on the line and comes back to it a second before the end."""
+    runs = [run(seed, False, place, fixes_hz=1.0) for seed in range(8)]
+    for name, part in GROUPS.items():
+        nees = [e[part] @ np.linalg.solve(P[part, part], e[part]) for e, P, _ in runs]
+        dof = len(runs) * len(runs[0][0][part])
+        low, high = band(dof)
+        assert low < np.sum(nees) / dof < high, (name, np.sum(nees) / dof)
+    for kind in ("gnss_position", "gnss_velocity"):
+        nis = np.concatenate([r[2][kind] for r in runs])
+        low, high = band(3 * len(nis))
+        assert low < np.mean(nis) / 3 < high, (kind, np.mean(nis) / 3)
+    # as well known as anywhere: only gravity, Coriolis force and Earth rate differ
+    np.testing.assert_allclose(claimed(runs), at_mid_latitude, rtol=0.02)

@@ -105,20 +105,24 @@ def samples(dtheta, dv, dt, start_ns=0, device="imu"):
 def hand_over(drive, t=0.0, error=None, sigmas=None):
     """`NavInit` at ``t`` s with errors (15,) of position, velocity, phi, gyro and accelerometer bias.
 
-    Errors are east, north, up, computed minus true; ``sigmas`` (15,) go into the covariances.
+    Errors are east, north, up of the true place, computed minus true; ``sigmas`` (15,), the same east and
+    north, go into the covariances.
     """
     error = np.zeros(15) if error is None else np.asarray(error)
     s = np.array([0.01] * 3 + [0.01] * 3 + [1e-4] * 3 + [1e-7] * 3 + [1e-5] * 3) if sigmas is None else sigmas
     lat, lon, h, v_g, C_gb = drive.geodetic(t)
     r_e = drive.position(np.array(t)) + earth.position_matrix(lat, lon) @ error[0:3]
+    true = lat, lon
     lat, lon, h = earth.xyz_to_geodetic(*r_e)
-    C = rot.dcm_from_quat(rot.quat_from_rotvec(-error[6:9])) @ C_gb
+    # from the true place to the computed one, level stays level; next to a pole east is elsewhere
+    turn = rot.dcm_from_quat(rot.quat_from_rotvec([0.0, 0.0, -earth.convergence(*true, lat, lon)]))
+    C = turn @ rot.dcm_from_quat(rot.quat_from_rotvec(-error[6:9])) @ C_gb
     return NavInit(
         round(t * 1e9),
         lat,
         lon,
         h,
-        v_g + error[3:6],
+        turn @ (v_g + error[3:6]),
         rot.quat_from_dcm(C),
         np.diag(s[6:9] ** 2),
         s[3:6],
@@ -138,11 +142,13 @@ def fix(drive, t, lever=(0.0, 0.0, 0.0), sigma=(1.0, 1.0, 2.0), sigma_v=(0.1, 0.
     w = drive.rate_ib(t_) - C_eb.T @ drive.w_ie_e
     v_e = drive.velocity_e(t_) + C_eb @ np.cross(w, lever)
     lat, lon, h = earth.xyz_to_geodetic(*r_e)
-    C_eg = earth.position_matrix(lat, lon)
-    v_g = C_eg.T @ v_e
     sigma, sigma_v = np.array(sigma), np.array(sigma_v)
     if rng is not None:
+        C_eg = earth.position_matrix(lat, lon)
         lat, lon, h = earth.xyz_to_geodetic(*(r_e + C_eg @ (sigma * rng.normal(size=3))))
+    # a receiver says its velocity along east and north of where it thinks it is
+    v_g = earth.position_matrix(lat, lon).T @ v_e
+    if rng is not None:
         v_g = v_g + sigma_v * rng.normal(size=3)
     return GnssFix(round(t * 1e9), lat, lon, h, sigma, v_g, sigma_v, FixType.FIX_3D, "gnss")
 
