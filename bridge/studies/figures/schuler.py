@@ -7,17 +7,31 @@ section 2.5.2, eq. (2-104).
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from bridge.plots.style import BLUE, GREEN, ORANGE, Picture, legend
 from bridge.studies.figures.result import Result, Row
+from bridge.studies.figures.schuler_plot import draw
 from bridge.studies.figures.schuler_printed import MISPRINTS
 from bridge.studies.figures.schuler_runs import (
+    AMOUNT,
+    ARCMIN,
+    BIAS,
+    CURVES,
+    DAY,
+    DRIFT,
+    EIGHTH,
+    EVERY,
+    LAT,
+    MIDDLE,
+    NAMES,
+    NOISE,
     ORDER,
+    RUNS,
+    SHOWN,
+    UG,
     Matrix,
     Rest,
     Vector,
@@ -35,35 +49,17 @@ from nav.errors.response import (
     static_dynamics,
     velocity_variance,
 )
+from nav.filter.states import PHI
 
-LAT: Final = math.radians(40.0)
-MIDDLE: Final = math.radians(45.0)
-"""Where the text takes its numbers for eqs. (2-95) and (2-104)."""
-DAY: Final = 86_400
-EVERY: Final = 600
-"""Seconds between the moments compared."""
-SHOWN: Final = 5 * 3600
-"""The moment whose numbers are printed, s; a row is judged by all of the day."""
-DEG_PER_H: Final = math.radians(1.0) / 3600.0
-DRIFT: Final = 0.01 * DEG_PER_H
-UG: Final = 9.80665e-6
-BIAS: Final = 100.0 * UG
-AMOUNT: Final = np.array([DRIFT] * 3 + [BIAS] * 2)
-ARCMIN: Final = math.radians(1.0) / 60.0
+__all__ = ["compute", "draw"]
 
 CLOSED: Final = 1e-9
 KERNEL: Final = 1e-5
 """An update of half a second shifts the phase of a day's Schuler oscillation (107 rad) by its
 (w_s dt)^2 / 12, 3e-8 of it or 3e-6 rad; third-order terms of 3e-3 rad of error add as much."""
-NOISE: Final = 10.0 * UG
-"""Accelerometer noise, m/s^2 / sqrt(Hz), two-sided."""
-RUNS: Final = 1000
-EIGHTH: Final = 630
-"""An eighth of Schuler's period, s, where the misprint of (2-98) shows most."""
 SIGMAS: Final = 3.3  # one in a thousand
 
 SYMBOLS: Final = dict(zip(STATES, ("v_E", "v_N", "lat", "lon", "phi_E", "phi_N", "phi_U"), strict=True))
-NAMES: Final = dict(zip(SOURCES, ("gyro E", "gyro N", "gyro U", "accel E", "accel N"), strict=True))
 
 
 def integral(F: Matrix, b: Vector, t: Vector, sphere: Sphere) -> Matrix:
@@ -95,7 +91,8 @@ def compute() -> Result:
     kernel, dots = _kernel(rest, t)
     noise, spread = _noise()
     middle = Rest(MIDDLE)
-    rows += [*coriolis, *kernel, *_roots(middle.sphere), *noise, *_equilibrium(middle)]
+    curves, mixed = _curves(middle, t)
+    rows += [*coriolis, *kernel, *curves, *_roots(middle.sphere), *noise, *_equilibrium(middle)]
     notes = [
         f"Cells: error after {SHOWN // 3600} h of 0.01 deg/h (drift of a platform) or 100 ug at 40 deg, on a "
         "sphere of the local Gaussian radius. Ours is the numerical integral of (2-90) without Coriolis "
@@ -106,9 +103,11 @@ def compute() -> Result:
         "Kernel: half the difference of navigations with plus and minus the sensor error, against the matrix "
         "exponential of the ellipsoid with the height channel: the largest of seven states in 24 h. Second "
         "order: what one navigation has beyond that, mostly the square of its position error.",
+        "Figure 2-26: the errors named there, gyros, accelerometers and misalignments at once; judged with a "
+        "tenth of them.",
         f"Noise: {RUNS} navigations by the kernel at the equator, seed 1, 10 ug/sqrt(Hz) on accel E.",
     ]
-    numbers = {"neglect": neglect, "kernel": dots, "noise": spread}
+    numbers = {"neglect": neglect, "kernel": dots, "curves": mixed, "noise": spread}
     return Result("Errors at rest: Schuler, Foucault and Earth oscillations", rows, notes, numbers)
 
 
@@ -170,7 +169,7 @@ def _coriolis(t: Vector, sphere: Sphere) -> tuple[list[Row], dict[str, dict[str,
 
 
 def _kernel(rest: Rest, t: Vector) -> tuple[list[Row], dict[str, list[list[float]]]]:
-    """The navigation kernel against the matrix exponential; every third moment of the errors, to be drawn."""
+    """The navigation kernel against the matrix exponential; some of the errors, to be drawn."""
     F, G = rest.model()
     exact = rest.navigate(np.zeros(6), DAY, EVERY)
     drift = float(np.hypot(exact[-1, 0], exact[-1, 1] * math.cos(LAT))) * rest.sphere.radius
@@ -188,7 +187,29 @@ def _kernel(rest: Rest, t: Vector) -> tuple[list[Row], dict[str, list[list[float
         asked, unit = f"{KERNEL:g} of the largest", "of the largest"
         rows.append(Row(f"kernel, exponential, {NAMES[source]}", None, off, asked, off <= KERNEL, unit))
         rows.append(Row(f"second order, {NAMES[source]}", None, beyond, "", None, unit))
-        dots[source] = (plus - exact)[2::3, ORDER].T.tolist()
+        dots[source] = _short(plus - exact)
+    return rows, dots
+
+
+def _short(errors: Matrix) -> list[list[float]]:
+    """The seven states at every third moment, six digits each."""
+    return [[float(f"{one:.6g}") for one in state] for state in errors[2::3, ORDER].T]
+
+
+def _curves(rest: Rest, t: Vector) -> tuple[list[Row], dict[str, list[list[float]]]]:
+    """Figure 2-26: several errors and initial misalignments at once, kernel against matrix exponential."""
+    F, G = rest.model()
+    rows, dots = [], {}
+    for name, mixture in CURVES.items():
+        e, start = mixture.inputs()
+        linear = exponential(F, G @ e, EVERY, len(t), start)
+        size = np.max(np.abs(linear[:, ORDER]), axis=0)
+        # 70 km of error are not small: third-order terms of a tenth of it are
+        ends = [rest.navigate(part * e, DAY, EVERY, part * start[PHI]) for part in (0.1, -0.1)]
+        off = float(np.max(np.abs(5.0 * (ends[0] - ends[1]) - linear)[:, ORDER] / size))
+        title = f"kernel, exponential, figure 2-26 ({name})"
+        rows.append(Row(title, None, off, f"{KERNEL:g} of the largest", off <= KERNEL, "of the largest"))
+        dots[name] = _short(rest.navigate(e, DAY, EVERY, start[PHI]))
     return rows, dots
 
 
@@ -231,14 +252,15 @@ def _noise() -> tuple[list[Row], dict[str, list[float]]]:
     seconds = 5 * EIGHTH
     # level frequency of the east channel: the radius of the equator
     w_s = math.sqrt(rest.gravity / 6_378_137.0)
-    t = np.arange(EIGHTH, seconds + 1, EIGHTH, dtype=np.float64)
-    velocities = noisy_velocities(rest, NOISE**2, RUNS, seconds, EIGHTH, seed=1)
+    every = EIGHTH // 3
+    t = np.arange(every, seconds + 1, every, dtype=np.float64)
+    velocities = noisy_velocities(rest, NOISE**2, RUNS, seconds, every, seed=1)
     ours = np.sqrt(np.mean(velocities**2, axis=0))
     exact = np.sqrt(velocity_variance(t, NOISE**2, w_s))
     printed = NOISE * np.sqrt(0.5 * t + np.sin(2.0 * w_s * t) / (2.0 * w_s))
     band = SIGMAS / math.sqrt(2.0 * RUNS)
     rows = []
-    for k, moment in ((0, "630 s"), (len(t) - 1, "3150 s")):
+    for k, moment in ((2, "630 s"), (len(t) - 1, "3150 s")):
         passed = abs(float(ours[k] / exact[k]) - 1.0) <= band
         asked = f"{100.0 * band:.0f} %, {RUNS} runs"
         why = "(2-98) prints the sine over 2 w_s, it is 4 w_s"
@@ -254,7 +276,12 @@ def _noise() -> tuple[list[Row], dict[str, list[float]]]:
                 1e3 * float(exact[k]),
             )
         )
-    return rows, {"t": t.tolist(), "ours": ours.tolist(), "closed": exact.tolist()}
+    return rows, {
+        "t": t.tolist(),
+        "ours": ours.tolist(),
+        "closed": exact.tolist(),
+        "printed": printed.tolist(),
+    }
 
 
 def _equilibrium(rest: Rest) -> list[Row]:
@@ -282,55 +309,3 @@ def _equilibrium(rest: Rest) -> list[Row]:
         Row("speed in 1 h from (2-104)", speeds[0], speeds[1], asked, speeds[1] < 1e-3, "m/s", why, 0.0)
     )
     return rows
-
-
-def draw(result: Result, path: Path) -> None:
-    """A day of velocity, position and misalignment for each sensor error."""
-    rest = Rest(LAT)
-    step = 60.0
-    t = step * np.arange(1, DAY // 60 + 1)
-    F, G = rest.model()
-    closed = responses(t, LAT, rest.sphere) * AMOUNT[:, None, None]
-    picture = Picture(
-        "Errors at rest over a day, 40 deg",
-        "lines: matrix exponential with Coriolis terms; dots: the navigation kernel; dashes: closed forms "
-        "without Coriolis terms",
-        rows=len(SOURCES),
-        columns=3,
-        sharex=True,
-    )
-    km = rest.sphere.radius / 1e3
-    kinds = (
-        ("m/s", (("v_east", BLUE, 1.0, "east"), ("v_north", ORANGE, 1.0, "north"))),
-        ("km", (("lon", BLUE, km * math.cos(LAT), "east"), ("lat", ORANGE, km, "north"))),
-        (
-            "arcmin",
-            (
-                ("phi_east", BLUE, 1.0 / ARCMIN, "east"),
-                ("phi_north", ORANGE, 1.0 / ARCMIN, "north"),
-                ("phi_up", GREEN, 1.0 / ARCMIN, "up"),
-            ),
-        ),
-    )
-    for i, source in enumerate(SOURCES):
-        e = np.zeros(6)
-        e[i] = -AMOUNT[i] if i < 3 else AMOUNT[i]
-        truth = exponential(F, G @ e, step, len(t))[:, ORDER].T
-        dots = np.array(result.numbers["kernel"][source])
-        hours = np.arange(1, dots.shape[1] + 1) * 3.0 * EVERY / 3600.0
-        amount = "0.01 deg/h" if i < 3 else "100 ug"
-        for axes, (unit, lines) in zip(picture.axes[i], kinds, strict=True):
-            for state, colour, scale, label in lines:
-                j = STATES.index(state)
-                axes.plot(t / 3600.0, scale * closed[i, j], "--", color=colour, lw=0.7, alpha=0.6)
-                axes.plot(t / 3600.0, scale * truth[j], color=colour, label=label)
-                axes.plot(hours, scale * dots[j], "o", ms=2.2, color=colour)
-            axes.set_ylabel(unit)
-        picture.axes[i][0].set_ylabel(f"{NAMES[source]}, {amount}\nm/s")
-        legend(picture.axes[i][2])
-    for axes, title in zip(picture.axes[0], ("velocity", "position", "misalignment"), strict=True):
-        axes.set_title(title, fontsize=10, loc="left")
-    for axes in picture.axes[-1]:
-        axes.set_xlabel("hours")
-        axes.set_xlim(0.0, 24.0)
-    picture.save(path)

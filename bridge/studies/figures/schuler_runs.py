@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from nav import earth
 from nav import rotation as rot
 from nav.errors.geographic import phi_dynamics, sensor_inputs
-from nav.errors.response import Sphere
+from nav.errors.response import SOURCES, Sphere
 from nav.filter.states import PHI, POSITION, VELOCITY
 from nav.strapdown.control import control
 from nav.strapdown.kernels import X_C, X_H, X_HEAD, X_Q, X_V, integrate
@@ -24,8 +24,27 @@ GAINS: Final = (2.0 / 30.0, 1.0 / 900.0, 0.0)
 """Height channel, critically damped with 30 s: it keeps the height, as the closed forms want it."""
 ORDER: Final = (3, 4, 0, 1, 6, 7, 8)
 """The seven states of `nav.errors.response` among the nine of `nav.errors.geographic`."""
-GYRO: Final = slice(0, 3)
-ACCEL: Final = slice(3, 6)
+LAT: Final = math.radians(40.0)
+MIDDLE: Final = math.radians(45.0)
+"""Where the text takes its numbers for eqs. (2-95) and (2-104)."""
+DAY: Final = 86_400
+EVERY: Final = 600
+"""Seconds between the moments compared."""
+SHOWN: Final = 5 * 3600
+"""The moment whose numbers are printed, s; a row is judged by all of the day."""
+DEG_PER_H: Final = math.radians(1.0) / 3600.0
+DRIFT: Final = 0.01 * DEG_PER_H
+UG: Final = 9.80665e-6
+BIAS: Final = 100.0 * UG
+AMOUNT: Final = np.array([DRIFT] * 3 + [BIAS] * 2)
+ARCMIN: Final = math.radians(1.0) / 60.0
+ARCSEC: Final = ARCMIN / 60.0
+NOISE: Final = 10.0 * UG
+"""Accelerometer noise, m/s^2 / sqrt(Hz), two-sided."""
+RUNS: Final = 1000
+EIGHTH: Final = 630
+"""An eighth of Schuler's period, s, where the misprint of (2-98) shows most."""
+NAMES: Final = dict(zip(SOURCES, ("gyro E", "gyro N", "gyro U", "accel E", "accel N"), strict=True))
 
 
 class Rest:
@@ -87,13 +106,42 @@ class Rest:
         return F, sensor_inputs(np.eye(3))
 
 
-def exponential(F: Matrix, b: Vector, step: float, rows: int) -> Matrix:
-    """States (rows, n) of ``dx/dt = F x + b`` after 1, 2, ... times ``step`` seconds, from zero."""
+class Mixture(NamedTuple):
+    """Drifts of a platform east, north, up (rad/s), accelerometer errors (m/s^2) and misalignments (rad)."""
+
+    drift: tuple[float, float, float]
+    accel: tuple[float, float]
+    phi: tuple[float, float, float]
+
+    def inputs(self) -> tuple[Vector, Vector]:
+        """What strapdown sensors read too much (6,), and the states (9,) at the start."""
+        start = np.zeros(9)
+        start[PHI] = self.phi
+        return np.array([*(-one for one in self.drift), *self.accel, 0.0]), start
+
+
+CURVES: Final = {
+    "a": Mixture(
+        (0.007 * DEG_PER_H, 0.007 * DEG_PER_H, 0.01 * DEG_PER_H),
+        (100.0 * UG, 100.0 * UG),
+        (5.0 * ARCSEC, 5.0 * ARCSEC, 120.0 * ARCSEC),
+    ),
+    "b": Mixture(
+        (0.02 * DEG_PER_H, 0.02 * DEG_PER_H, 0.05 * DEG_PER_H),
+        (0.0, 0.0),
+        (10.0 * ARCSEC, 10.0 * ARCSEC, 30.0 * ARCSEC),
+    ),
+}
+"""The errors named below figure 2-26, whose curves have no numbers and no latitude: 45 deg here."""
+
+
+def exponential(F: Matrix, b: Vector, step: float, rows: int, start: Vector | None = None) -> Matrix:
+    """States (rows, n) of ``dx/dt = F x + b`` every ``step`` seconds, from zero or ``start``."""
     n = len(b)
     M = np.zeros((n + 1, n + 1))
     M[:n, :n], M[:n, n] = F, b
     Phi = expm(M * step)
-    x, out = np.zeros(n), np.empty((rows, n))
+    x, out = np.zeros(n) if start is None else start, np.empty((rows, n))
     for k in range(rows):
         x = Phi[:n, :n] @ x + Phi[:n, n]
         out[k] = x
