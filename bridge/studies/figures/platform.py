@@ -80,6 +80,9 @@ def compute() -> Result:
         f"Modulated: eq. (19), {RATE / DEG_PER_H:.0f} deg/h + w_ie sin L counter-clockwise. "
         f"Swing, our own law: k = A (cos(2 pi t/{PERIOD / 60:.0f} min) - 1), J0(A) = 0, at most "
         f"{peak:.0f} deg/h; it begins at rest, never jumps, and level errors average out in each period.",
+        "How much turning one way gains hangs on the signs of the biases and on its sense: at 85 deg with "
+        f"the printed signs {table[85]['conventional'] / table[85]['modulated']:.1f} times, worst signs of "
+        f"each compared {worst['conventional'] / worst['modulated']:.1f} times.",
         "Why not just one way: a platform that turns slower than Schuler's 255 deg/h leaves the "
         "accelerometers' biases as they are, near 255 deg/h makes them worse, and above it an error of the "
         "torquer's scale drifts. To and fro it stays below 2 A times the error. The price is the rate: gyros "
