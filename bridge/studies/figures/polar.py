@@ -192,7 +192,9 @@ def _track(path: GreatCircle, t: Array) -> dict[str, list[float]]:
 
 def draw(result: Result, path: Path) -> None:
     """Where the flights lead, their errors, and headings across the pole."""
-    picture = Picture(result.title, "24 h at 900 km/h, exact sensors, height slaved to truth", 2, 2, 7.6)
+    picture = Picture(
+        result.title, "24 h at 900 km/h, exact sensors, height slaved to truth; dotted: the pole", 2, 2, 7.6
+    )
     (chart, error), (heading, azimuth) = picture.axes
     numbers = result.numbers
     hours = numbers["hours"]
