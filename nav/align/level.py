@@ -213,7 +213,9 @@ def finish(state: Level) -> NavInit:
         # the level part of Earth rate points nobody knows where
         unseen = 0.5 * (EARTH_RATE * math.cos(fix.lat)) ** 2
         var = scatter + config.angle_random_walk**2 / state.seconds + unseen + (0.02 * config.gyro_bias) ** 2
-        sigma_bias = np.sqrt(np.minimum(var, config.gyro_bias**2))
+        # a sensor better than that unseen part is believed more than the standstill
+        weight = config.gyro_bias**2 / (config.gyro_bias**2 + var)
+        bias, sigma_bias = weight * bias, np.sqrt(weight * var)
         for part in parts:
             extend(total, part.piece, bias, _ZERO)
         after = float(total[DT])

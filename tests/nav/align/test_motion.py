@@ -363,3 +363,24 @@ def test_no_meridian_is_special(lat, lon):
     assert np.abs(init.v_g - C_ge @ ride.velocity_e(t)).max() < 0.02
     phi = rotvec_from_quat(quat_from_dcm(C_ge @ ride.C_eb(t) @ dcm_from_quat(init.q_gb).T))
     assert np.abs(phi).max() < math.radians(0.1)
+
+
+def test_a_standstill_does_not_spoil_gyros_that_are_better_than_earth_rate():
+    """What it shows of a bias holds the level Earth rate, 11 deg/h here, in an unknown direction."""
+    deg_per_h = math.radians(1.0) / 3600.0
+    config = AlignConfig(0.1 * deg_per_h, 2e-3, math.radians(0.01) / 60.0, 4e-4, C_vb=np.eye(3))
+    C_gb = dcm_from_euler(0.4, 0.0, 0.0)
+    rate, force = C_gb.T @ earth_rate_g(LAT), C_gb.T @ -gravity_g(LAT, HEIGHT)
+    run = begin(ALIGNMENTS["motion"], config)
+    none, sigma = np.zeros(3), np.full(3, 0.03)
+    for k in range(1, 1201):
+        run, _ = advance(run, ImuSample(k * 20_000_000, DT, rate * DT, force * DT, "imu"))
+        if k % 10 == 0:
+            # it drives off after 20 s, or so says the receiver
+            v = none if k < 1000 else np.array([0.0, 2.0, 0.0])
+            fix = GnssFix(k * 20_000_000, LAT, LON, HEIGHT, sigma, v, sigma, FixType.FIX_3D, "gnss")
+            run, _ = advance(run, fix)
+    given = run.state.window.given
+    assert np.abs(given.gyro_bias).max() < 0.2 * 0.1 * deg_per_h
+    # and it is not taken to have learnt what it cannot see
+    assert given.sigma_gyro_bias == pytest.approx(np.full(3, 0.1 * deg_per_h), rel=0.3)
