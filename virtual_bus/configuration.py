@@ -156,6 +156,7 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         f"alignment = {_text(s.navigator.alignment)}",
         f"mounting_deg = {mounting}",
         f"mounting_sigma_deg = {v.mounting_sigma_deg!r}",
+        f"non_holonomic = {str(s.navigator.non_holonomic).lower()}",
         *(f"{key} = {_vector(C_bv @ (place - imu_at))}" for key, place in arms.items()),
         *known,
         "",
@@ -171,6 +172,7 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         f"source = {_text(next(iter(wiring.buses)))}",
         'navigator = "main"',
         "rate_hz = 50.0",
+        f"polar = {_text(s.navigator.polar)}",
     ]
     if mavlink_url is not None:
         lines += ["", "[sink.telemetry]", 'type = "mavlink"', 'source = "telemetry"', 'navigator = "main"']
