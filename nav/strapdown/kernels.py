@@ -111,6 +111,17 @@ def rotate_columns(x: Vector, c: int, rx: float, ry: float, rz: float) -> None:
 
 
 @kernel
+def turn_attitude(x: Vector, px: float, py: float, pz: float, zx: float, zy: float, zz: float) -> None:
+    """Turn the quaternion at the head of ``x`` by the rotation vectors of b, (px, py, pz), and of n, rad."""
+    qw, qx, qy, qz = exponential(-zx, -zy, -zz)
+    qw, qx, qy, qz = multiply(qw, qx, qy, qz, x[0], x[1], x[2], x[3])
+    bw, bx, by, bz = exponential(px, py, pz)
+    qw, qx, qy, qz = multiply(qw, qx, qy, qz, bw, bx, by, bz)
+    norm = 1.0 / np.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
+    x[0], x[1], x[2], x[3] = qw * norm, qx * norm, qy * norm, qz * norm
+
+
+@kernel
 def vertical_rate(u: Vector, ex: float, ey: float, ez: float, h: float, vx: float, vy: float) -> float:
     """Vertical transport rate (rad/s) at polar axis (ex, ey, ez) in n. Twin of `mechanize.vertical_rate`."""
     rate = u[U_TURN] - u[U_FREE] * (EARTH_RATE * ez)
@@ -199,12 +210,7 @@ def strapdown(x: Vector, inc: Vector, dt: float, u: Vector, mid: Vector) -> None
     x[4], x[5], x[6], x[16], x[17] = nx, ny, nz, h_new, a_h + k3 * miss * dt
 
     # attitude
-    aw, ai, aj, ak = exponential(-(ix + tx + wcx) * dt, -(iy + ty + wcy) * dt, -(iz + tz + wcz) * dt)
-    rw, ri, rj, rk = multiply(aw, ai, aj, ak, qw, qx, qy, qz)
-    aw, ai, aj, ak = exponential(px, py, pz)
-    rw, ri, rj, rk = multiply(rw, ri, rj, rk, aw, ai, aj, ak)
-    norm = 1.0 / np.sqrt(rw * rw + ri * ri + rj * rj + rk * rk)
-    x[0], x[1], x[2], x[3] = rw * norm, ri * norm, rj * norm, rk * norm
+    turn_attitude(x, px, py, pz, (ix + tx + wcx) * dt, (iy + ty + wcy) * dt, (iz + tz + wcz) * dt)
 
     # attitude in the middle: half the rotation vector is small enough for first order
     hx, hy, hz = 0.5 * px, 0.5 * py, 0.5 * pz
@@ -218,6 +224,15 @@ def strapdown(x: Vector, inc: Vector, dt: float, u: Vector, mid: Vector) -> None
     mid[21], mid[22], mid[23] = ax, ay, 0.5 * (vz + nz)
     r_m, r_n = radii(gz)
     mid[24] = 2.0 * gravity / (np.sqrt(r_m * r_n) + h_mid)
+
+
+@kernel
+def take(samples: Matrix, first: int, n: int, d: Vector) -> None:
+    """Put ``n`` rows of ``samples`` (M, 6) into ``d`` (6 n,): angle increments, then velocity increments."""
+    for i in range(n):
+        for j in range(3):
+            d[3 * i + j] = samples[first + i, j]
+            d[3 * (n + i) + j] = samples[first + i, 3 + j]
 
 
 @kernel
@@ -235,10 +250,7 @@ def integrate(
     mid = np.empty(M_SIZE)
     rows = 0
     for k in range(samples.shape[0] // n):
-        for i in range(n):
-            for j in range(3):
-                d[3 * i + j] = samples[k * n + i, j]
-                d[3 * (n + i) + j] = samples[k * n + i, 3 + j]
+        take(samples, k * n, n, d)
         increments(d, n, inc)
         strapdown(x, inc, n * dt_sample, u, mid)
         if (k + 1) % every == 0 and rows < out.shape[0]:

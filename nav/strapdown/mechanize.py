@@ -78,6 +78,25 @@ def frame_rates(pole_n: Vector, height: float, v_n: Vector, u: Vector | None = N
     return Frame(earth.EARTH_RATE * pole_n, w_en_n, gravity_n)
 
 
+def moved(C_en: Matrix, angle_n: Vector) -> Matrix:
+    """Position matrix (3, 3) after n has turned by ``angle_n`` (3,), rad, with respect to e: exact.
+
+    One step towards the nearest rotation matrix takes out what rounding adds. Textbook chapter "Inertial
+    navigation", solution of eq. (2-54).
+    """
+    C = C_en @ rot.dcm_from_quat(rot.quat_from_rotvec(angle_n))
+    return np.asarray(0.5 * C @ (3.0 * np.eye(3) - C.T @ C))
+
+
+def moved_second_order(C_en: Matrix, angle_n: Vector) -> Matrix:
+    """As `moved`, to second order in the angle, without trigonometry: a sixth of its cube is lost.
+
+    Textbook chapter "Inertial navigation", eq. (2-55).
+    """
+    turn = rot.skew(angle_n)
+    return np.asarray(C_en @ (np.eye(3) + turn + 0.5 * turn @ turn))
+
+
 def update(state: NavState, dtheta: Vector, dv: Vector, dt: float, u: Vector | None = None) -> NavState:
     """One navigation update over N inertial samples, N = 1 to 6.
 
@@ -119,8 +138,7 @@ def update(state: NavState, dtheta: Vector, dv: Vector, dt: float, u: Vector | N
     v_mean = 0.5 * (state.v_n + v_n)
     height = state.height + (v_mean[2] - k1 * (h_mid - u[U_H])) * dt
     w_en_n = frame_rates(pole_mid, 0.5 * (state.height + height), v_mean, u).w_en_n
-    C_en = state.C_en @ rot.dcm_from_quat(rot.quat_from_rotvec(w_en_n * dt))
-    C_en = 0.5 * C_en @ (3.0 * np.eye(3) - C_en.T @ C_en)
+    C_en = moved(state.C_en, w_en_n * dt)
 
     turn_n = rot.quat_from_rotvec(-(mid.w_ie_n + w_en_n + w_c) * dt)
     turn_b = rot.quat_from_rotvec(rotation_vector(dtheta))
