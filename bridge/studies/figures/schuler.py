@@ -1,7 +1,7 @@
 """Errors at rest over a day: closed forms, matrix exponential and the navigation kernel side by side.
 
 The textbook chapter "Inertial navigation", section 2.4.5, tables 2-9 and 2-10 with eqs. (2-90) to (2-98), and
-section 2.5.2, eq. (2-104).
+section 2.5.2, eq. (2-104); the excerpt on psi-angle and phi-angle error models, eqs. (2.2.7) and (2.2.9).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from bridge.studies.figures.schuler_runs import (
     BIAS,
     CURVES,
     DAY,
+    DEG_PER_H,
     DRIFT,
     EIGHTH,
     EVERY,
@@ -39,7 +40,7 @@ from bridge.studies.figures.schuler_runs import (
     noisy_velocities,
 )
 from nav.earth import EARTH_RATE
-from nav.errors.psi import alignment_limit
+from nav.errors.psi import alignment_dynamics, alignment_limit, observability_rank
 from nav.errors.response import (
     SOURCES,
     STATES,
@@ -49,6 +50,8 @@ from nav.errors.response import (
     static_dynamics,
     velocity_variance,
 )
+from nav.filter.covariance import predict_readable
+from nav.filter.kalman import update
 from nav.filter.states import PHI
 
 __all__ = ["compute", "draw"]
@@ -93,6 +96,7 @@ def compute() -> Result:
     middle = Rest(MIDDLE)
     curves, mixed = _curves(middle, t)
     rows += [*coriolis, *kernel, *curves, *_roots(middle.sphere), *noise, *_equilibrium(middle)]
+    rows += _alignment(middle)
     notes = [
         f"Cells: error after {SHOWN // 3600} h of 0.01 deg/h (drift of a platform) or 100 ug at 40 deg, on a "
         "sphere of the local Gaussian radius. Ours is the numerical integral of (2-90) without Coriolis "
@@ -106,6 +110,8 @@ def compute() -> Result:
         "Figure 2-26: the errors named there, gyros, accelerometers and misalignments at once; judged with a "
         "tenth of them.",
         f"Noise: {RUNS} navigations by the kernel at the equator, seed 1, 10 ug/sqrt(Hz) on accel E.",
+        "Alignment at rest, psi form: sigma of a filter that is told 100 ug and 0.02 deg/h and sees rest to "
+        "0.1 m/s every second, with noise of 10 ug/sqrt(Hz) and 0.002 deg/sqrt(h); limits by (2-104).",
     ]
     numbers = {"neglect": neglect, "kernel": dots, "curves": mixed, "noise": spread}
     return Result("Errors at rest: Schuler, Foucault and Earth oscillations", rows, notes, numbers)
@@ -308,4 +314,42 @@ def _equilibrium(rest: Rest) -> list[Row]:
     rows.append(
         Row("speed in 1 h from (2-104)", speeds[0], speeds[1], asked, speeds[1] < 1e-3, "m/s", why, 0.0)
     )
+    return rows
+
+
+def _alignment(rest: Rest) -> list[Row]:
+    """What alignment at rest can see in the psi form, and how far a filter comes in 15 min."""
+    rows = []
+    # velocity in g / w_e, accelerometers in g, drifts in w_e: all of order one
+    for vertical, seen in ((False, 7), (True, 9)):
+        F = alignment_dynamics(rest.lat, rest.gravity, vertical)
+        k = 3 if vertical else 2
+        g, w = rest.gravity, EARTH_RATE
+        size = np.array([g / w] * k + [1.0] * 3 + [g] * k + [w] * 3)
+        rank = observability_rank(F * size / size[:, None], k, 1.0 / w)
+        rows.append(Row(f"observable of {len(F)} states", None, rank, "equal", rank == seen, "", "", seen))
+    u, drift = 100.0 * UG, 0.02 * DEG_PER_H
+    walk = 0.002 * math.radians(1.0) / 60.0
+    F = alignment_dynamics(rest.lat, rest.gravity)
+    P = np.diag(np.square([0.1] * 2 + [math.radians(1.0)] * 3 + [u] * 2 + [drift] * 3))
+    q = np.square([NOISE] * 2 + [walk] * 3 + [0.0] * 5)
+    H, R, X = np.eye(10)[:2], 0.01 * np.eye(2), np.zeros((10, 2))
+    dx, S = np.empty(10), np.empty((2, 2))
+    for _ in range(900):
+        P = predict_readable(P, F, q, 1.0)
+        update(P, H, np.zeros(2), R, X, np.inf, dx, S)
+    sigma = np.sqrt(np.diag(P))[2:5] / ARCMIN
+    azimuth = math.hypot(
+        alignment_limit(rest.lat, rest.gravity, (u, 0.0), 0.0)[2],
+        alignment_limit(rest.lat, rest.gravity, (0.0, 0.0), drift)[2],
+    )
+    for name, ours, limit, part in (
+        ("psi_E", sigma[0], u / rest.gravity, 0.01),
+        ("psi_N", sigma[1], u / rest.gravity, 0.01),
+        ("psi_U", sigma[2], azimuth, 0.05),
+    ):
+        exact = limit / ARCMIN
+        passed = bool(abs(ours - exact) <= part * exact)
+        asked = f"{100 * part:g} % of the limit"
+        rows.append(Row(f"sigma of {name}, 15 min", None, float(ours), asked, passed, "arcmin", "", exact))
     return rows
