@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bridge.geoid import undulation
-from nav.earth import ecef
+from nav.earth import ecef, position_quat
+from nav.rotation import multiply, quat_conjugate, quat_multiply, rotate
 from nav.types import S, Solution
 
 Three = tuple[float, float, float]
@@ -94,3 +95,46 @@ class LocalFrame:
         d = ecef(lat, lon, height) - self._origin
         n, e, down = (float(row[0] * d[0] + row[1] * d[1] + row[2] * d[2]) for row in self._c_ne)
         return n, e, down
+
+    def seen(self, ned: Ned) -> Ned:
+        """``ned`` with velocity, attitude and sigmas along this frame's axes; its place stays geodetic.
+
+        North-east-down where the vehicle is differs from that of the origin: by a milliradian ten
+        kilometres away in mid latitudes, by anything near a pole. Errors along and about the different axes
+        are taken as uncorrelated.
+        """
+        q_ge = quat_conjugate(position_quat(self.lat, self.lon))
+        w, x, y, z = (float(value) for value in quat_multiply(q_ge, position_quat(ned.lat, ned.lon)))
+        turn = (w, y, x, -z)  # as in `to_ned`
+        q = multiply(*turn, *ned.q)
+        if q[0] < 0.0:
+            q = (-q[0], -q[1], -q[2], -q[3])
+        columns = [rotate(*turn, *axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+
+        def spread(sigma: Three) -> Three:
+            n, e, d = (math.hypot(*(c[k] * s for c, s in zip(columns, sigma, strict=True))) for k in range(3))
+            return n, e, d
+
+        roll, pitch, yaw = _euler(q)
+        return replace(
+            ned,
+            v=rotate(*turn, *ned.v),
+            q=q,
+            roll=roll,
+            pitch=pitch,
+            yaw=yaw,
+            sigma_p=spread(ned.sigma_p),
+            sigma_v=spread(ned.sigma_v),
+            sigma_attitude=spread(ned.sigma_attitude),
+        )
+
+
+def _euler(q: Four) -> Three:
+    """Roll, pitch and yaw of a quaternion from front-right-down to north-east-down."""
+    w, x, y, z = q
+    sine = 2.0 * (w * y - x * z)
+    return (
+        math.atan2(2.0 * (y * z + w * x), w * w - x * x - y * y + z * z),
+        math.asin(max(-1.0, min(1.0, sine))) if math.isfinite(sine) else math.nan,
+        math.atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z),
+    )

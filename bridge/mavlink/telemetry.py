@@ -169,12 +169,13 @@ def global_position_int(picture: Picture) -> Any:
 
 
 def _local(picture: Picture) -> tuple[Ned, tuple[float, float, float]] | None:
+    """The solution along the axes of the local frame, and its place there."""
     ned = picture.ned
     if ned is None or picture.origin is None or not picture.has(SolutionFlag.POSITION):
         return None
     if not _finite(ned.lat, ned.lon, ned.height, *ned.v):
         return None
-    return ned, picture.origin.position(ned.lat, ned.lon, ned.height)
+    return picture.origin.seen(ned), picture.origin.position(ned.lat, ned.lon, ned.height)
 
 
 def local_position_ned(picture: Picture) -> Any:

@@ -32,7 +32,8 @@ from bridge.outputs import (
 from bridge.sinks import SINKS, SinkContext
 from bridge.sinks.mavlink import DEFAULT_RATES_HZ, MavlinkTelemetry, MavlinkTelemetryOptions
 from bridge.strict import convert
-from nav.types import FixType, GnssFix, Mode
+from nav import earth, rotation
+from nav.types import FixType, GnssFix, Mode, S, Solution
 from tests.sinks.made import out, solution, unknown
 
 
@@ -150,6 +151,52 @@ def test_local_frame_against_a_meridian_arc_and_a_plumb_line() -> None:
     assert north == pytest.approx(1e-5 * (6367381.816 + 100.0), abs=1e-5)
     assert east == pytest.approx(0.0, abs=1e-8)
     assert down == pytest.approx(north**2 / 2.0 / 6.3675e6, rel=1e-3)
+
+
+def over_the_pole(seconds: float) -> Solution:
+    """200 m/s level, nose ahead, 20 mm past the pole at 0 s, from Greenwich to the date line."""
+    r_e = np.array([-200.0 * seconds, 0.02, earth.SEMI_MINOR + 3000.0])
+    lat, lon, height = earth.xyz_to_geodetic(*r_e)
+    C_ge = earth.position_matrix(lat, lon).T
+    s = solution(
+        round((seconds + 100.0) * 1e9), lat_deg=math.degrees(lat), lon_deg=math.degrees(lon), height=height
+    )
+    s.state[S.V] = C_ge @ [-200.0, 0.0, 0.0]
+    # right, forward, up along y, -x, z of e
+    s.state[S.Q] = rotation.quat_from_dcm(
+        C_ge @ np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    )
+    return s
+
+
+def test_over_the_pole_every_message_is_valid_and_the_local_frame_stands_still() -> None:
+    sink = telemetry(**dict.fromkeys(("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ODOMETRY"), 100.0))
+    station = GroundStation()
+    yaws, headings = [], []
+    for tick in range(-100, 101):
+        s = over_the_pole(0.02 * tick)
+        messages = by_name(station.read(sink.consume([out(s)])))
+        place = messages["GLOBAL_POSITION_INT"]
+        assert abs(place.lat) <= 900_000_000
+        assert abs(place.lon) <= 1_800_000_000
+        assert place.hdg < 36_000
+        headings.append(place.hdg)
+        there = earth.ecef(math.radians(place.lat * 1e-7), math.radians(place.lon * 1e-7), s.height)
+        # 1e-7 deg is 11 mm
+        assert np.linalg.norm(there - earth.ecef(s.lat, s.lon, s.height)) < 0.01
+        # the speed fits 16 bits of centimetres, and is the same whatever the axes are called
+        assert math.hypot(place.vx, place.vy) == pytest.approx(20_000, abs=2)
+        local, odometry = messages["LOCAL_POSITION_NED"], messages["ODOMETRY"]
+        # the origin is 400 m before the pole: north there is ahead, and 0.02 m in 400 m to the left
+        passed = 0.02 * tick + 2.0
+        assert (local.x, local.y) == pytest.approx((200.0 * passed, 0.01 * passed), abs=1e-4)
+        # level there falls away from the level of the pole by 400 m / 6.4e6 m
+        assert (local.vx, local.vy) == pytest.approx((200.0, 0.01), abs=1e-4)
+        assert local.vz == pytest.approx(200.0 * 6.3e-5, abs=1e-3)
+        yaws.append(math.remainder(2.0 * math.atan2(odometry.q[3], odometry.q[0]), 2.0 * math.pi))
+        assert (odometry.vx, odometry.vy) == pytest.approx((200.0, 0.0), abs=1e-4)
+    assert yaws == pytest.approx(np.full(201, 5e-5), abs=1e-6)
+    assert max(headings) - min(headings) > 17_000
 
 
 def test_rates_are_kept() -> None:
