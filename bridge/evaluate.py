@@ -273,11 +273,41 @@ def _row(name: str, unit: str, error: Array, sigma: Array) -> Row:
     return Row(name, unit, rms, float(known.max()), float(known[-1]), normalised)
 
 
-def table(rows: Sequence[Row]) -> list[str]:
-    """The lines a person reads."""
+@dataclass(frozen=True)
+class Coverage:
+    """How much of a run errors are about: ``navigated_s`` of ``seconds``.
+
+    ``aligned_s`` is when the navigator was first under way, s after the beginning; None: never.
+    """
+
+    seconds: float
+    navigated_s: float
+    aligned_s: float | None
+
+    @property
+    def share(self) -> float:
+        """Navigated part of the run, 0 to 1."""
+        return self.navigated_s / self.seconds if self.seconds > 0.0 else 0.0
+
+    def __str__(self) -> str:
+        aligned = "never aligned" if self.aligned_s is None else f"aligned after {self.aligned_s:.1f} s"
+        return f"navigated {self.navigated_s:.1f} of {self.seconds:.1f} s ({self.share:.1%}), {aligned}"
+
+
+def coverage(solutions: SolutionTable, begin_ns: int, end_ns: int) -> Coverage:
+    """How much of the time from ``begin_ns`` to ``end_ns`` there were solutions of a navigator under way."""
+    t_ns = solutions.navigating().t_ns
+    steps = np.diff(t_ns)
+    aligned_s = float(t_ns[0] - begin_ns) * 1e-9 if len(t_ns) else None
+    return Coverage((end_ns - begin_ns) * 1e-9, float(steps[steps <= MAX_GAP_NS].sum()) * 1e-9, aligned_s)
+
+
+def table(rows: Sequence[Row], of: Coverage) -> list[str]:
+    """The lines a person reads: first how much of the run they are about."""
     if not rows:
-        return ["error against truth: the navigator was not under way at any instant with truth"]
-    lines = [f"{'error against truth':<22}{'RMS':>10}{'largest':>10}{'final':>10}{'error/sigma':>13}"]
+        return [str(of), "error against truth: the navigator was not under way at any instant with truth"]
+    lines = [str(of)]
+    lines += [f"{'error against truth':<22}{'RMS':>10}{'largest':>10}{'final':>10}{'error/sigma':>13}"]
     for row in rows:
         name = f"{row.name} ({row.unit})"
         lines.append(

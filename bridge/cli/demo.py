@@ -16,7 +16,7 @@ from bridge.assemble import Bridge
 from bridge.clock import SimulatedClock
 from bridge.config import Config
 from bridge.errors import ConfigError
-from bridge.evaluate import SolutionTable, TruthTable, errors, summary, table, truth_document
+from bridge.evaluate import SolutionTable, TruthTable, coverage, errors, summary, table, truth_document
 from bridge.live import Outcome
 from bridge.outputs import Output, SolutionOut, Transmit
 from bridge.recording import Recorder
@@ -110,11 +110,16 @@ class EmbeddedBench:
         next_ns = self._bench.next_ns
         if next_ns is None or next_ns > self._bench.end_ns:
             return None
-        return next_ns + (self._start_ns or 0)
+        return next_ns + self.start_ns
+
+    @property
+    def start_ns(self) -> int:
+        """When the scenario began, on the loop's clock."""
+        return self._start_ns or 0
 
     def truth(self, t_ns: int) -> dict[str, Any]:
         """An object of the truth channel for an instant of the loop's clock."""
-        truth = self._bench.truth(t_ns - (self._start_ns or 0))
+        truth = self._bench.truth(t_ns - self.start_ns)
         # rates from IMU to vehicle axes by way of east-north-up
         w_iv_g = rotation.quat_rotate(truth.q_gb, truth.w_ib_b)
         w_iv_v = rotation.quat_rotate(rotation.quat_conjugate(truth.q_gv), w_iv_g)
@@ -150,10 +155,12 @@ class TruthSink:
                     self._documents.append(document)
         return []
 
-    def lines(self) -> list[str]:
-        """Errors of the whole run, for people."""
+    def lines(self, seconds: float) -> list[str]:
+        """Errors of the whole run of so many seconds, for people."""
         solutions = SolutionTable.from_outputs(self._solutions)
-        return table(summary(errors(solutions, TruthTable.from_documents(self._documents))))
+        begin_ns = self._bench.start_ns
+        of = coverage(solutions, begin_ns, begin_ns + round(seconds * _NS))
+        return table(summary(errors(solutions, TruthTable.from_documents(self._documents))), of)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -191,7 +198,7 @@ def _drive(args: argparse.Namespace, bench: Bench, config: Config) -> tuple[Outc
         finally:
             view.close()
     unrecorded = bridge.recorder.unrecorded if bridge.recorder is not None else 0
-    return outcome, unrecorded, truth.lines()
+    return outcome, unrecorded, truth.lines(outcome.seconds)
 
 
 def _clock(speed: float, bench: Bench) -> SimulatedClock:

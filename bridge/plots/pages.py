@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from bridge.evaluate import Errors, SolutionTable, errors
+from bridge.evaluate import Errors, SolutionTable, coverage, errors
 from bridge.outputs import Innovation
 from bridge.plots.data import Array, PlotData
 from bridge.plots.style import (
@@ -335,7 +335,9 @@ def _error_page(
         error, sigma = pick(found)
         inside = float(np.mean(np.abs(error) <= 3.0 * sigma))
         t = data.seconds_of(found.t_ns)
-        picture = Picture(title, f"{data.title} · {inside:.1%} inside 3 sigma", 3)
+        of = coverage(data.solutions, data.begin_ns, data.end_ns)
+        words = f"{data.title}, {of.share:.0%} of it navigated · {inside:.1%} inside 3 sigma"
+        picture = Picture(title, words, 3)
         panels = picture.column()
         for axis, axes in enumerate(panels):
             band(axes, t, 0.0, sigma[:, axis], GREY, "3 sigma of the solution")

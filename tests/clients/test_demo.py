@@ -32,7 +32,14 @@ def test_pace_hash_seed_process_and_folder_change_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main([*options(tmp_path, "max"), "--no-view"]) == 0
-    *_, title, horizontal, height, velocity, heading, level, digest = capsys.readouterr().out.splitlines()
+    *_, share, title, horizontal, height, velocity, heading, level, digest = (
+        capsys.readouterr().out.splitlines()
+    )
+    found = re.fullmatch(r"navigated ([\d.]+) of 30\.0 s \(([\d.]+)%\), aligned after ([\d.]+) s", share)
+    assert found is not None, share
+    navigated, percent, aligned = map(float, found.groups())
+    assert navigated + aligned == pytest.approx(30.0, abs=0.3)
+    assert percent == pytest.approx(navigated / 0.3, abs=0.3)
     assert title.split() == ["error", "against", "truth", "RMS", "largest", "final", "error/sigma"]
     rows = {"horizontal (m)": horizontal, "height (m)": height, "velocity (m/s)": velocity}
     rows |= {"heading (deg)": heading, "level (deg)": level}
@@ -60,7 +67,7 @@ def test_pace_hash_seed_process_and_folder_change_nothing(
     )
     lines = done.stdout.splitlines()
     assert lines[-1] == digest
-    assert lines[-7:-1] == [title, horizontal, height, velocity, heading, level]
+    assert lines[-8:-1] == [share, title, horizontal, height, velocity, heading, level]
     # the view prints plain lines where there is no terminal
     assert any("ALIGN" in line for line in lines)
 

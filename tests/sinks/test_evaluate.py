@@ -7,7 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from bridge.evaluate import Errors, SolutionTable, TruthTable, errors, summary, table, truth_document
+from bridge.evaluate import (
+    Coverage,
+    Errors,
+    SolutionTable,
+    TruthTable,
+    coverage,
+    errors,
+    summary,
+    table,
+    truth_document,
+)
 from nav import earth, rotation
 from nav.types import Mode, S
 from tests.sinks.made import VALID, out, solution
@@ -72,7 +82,28 @@ def test_aligning_solutions_do_not_count() -> None:
     aligning.mode[:] = int(Mode.ALIGN)
     found = errors(aligning, truth(ticks(100, 1.0)))
     assert summary(found) == []
-    assert "not under way" in table([])[0]
+    of = coverage(aligning, 0, 1_000_000_000)
+    assert of == Coverage(1.0, 0.0, None)
+    first, second = table([], of)
+    assert first == "navigated 0.0 of 1.0 s (0.0%), never aligned"
+    assert "not under way" in second
+
+
+def test_what_was_navigated_is_said_with_the_errors() -> None:
+    """Aligned at 2 s, silent from 3 to 4 s, aligning again from 5 to 6 s."""
+    solutions = going_north(ticks(10, 8.0))
+    t = solutions.t_ns * 1e-9
+    solutions.mode[(t < 2.0) | ((t > 5.0) & (t < 6.0))] = int(Mode.ALIGN)
+    of = coverage(solutions.where((t <= 3.0) | (t >= 4.0)), -1_000_000_000, 9_000_000_000)
+    assert of.seconds == 10.0
+    # 2 to 3, 4 to 5, 6 to the last sample at 7.99; at the two ends inside a period of 0.01 s is lost
+    assert of.navigated_s == pytest.approx(3.99, abs=0.011)
+    assert of.aligned_s == pytest.approx(3.0)
+    assert of.share == of.navigated_s / 10.0
+    lines = table(summary(errors(solutions, truth(ticks(100, 8.0)))), of)
+    assert lines[0] == f"navigated {of.navigated_s:.1f} of 10.0 s ({of.share:.1%}), aligned after 3.0 s"
+    assert lines[1].startswith("error against truth")
+    assert len(lines) == 7
 
 
 def test_heading_error_is_the_small_way_round() -> None:
@@ -171,6 +202,7 @@ def test_truth_documents_are_read_back() -> None:
 
 def test_table_has_the_promised_lines() -> None:
     t_ns = ticks(100, 1.0)
-    lines = table(summary(errors(going_north(t_ns, (1.0, 0.0, 0.0)), truth(t_ns))))
+    solutions = going_north(t_ns, (1.0, 0.0, 0.0))
+    _, *lines = table(summary(errors(solutions, truth(t_ns))), coverage(solutions, 0, 1_000_000_000))
     assert [line.split()[0] for line in lines[1:]] == ["horizontal", "height", "velocity", "heading", "level"]
     assert "RMS" in lines[0]
