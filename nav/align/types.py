@@ -19,7 +19,8 @@ class AlignStatus(NamedTuple):
     phi about east, north, up, with true C_gb = (I + [phi x]) estimated C_gb; ``limit`` (3,) rad is
     the standard deviation that these sensors cannot beat in the time given. ``progress`` runs from
     0 to 1. ``done`` says that the stage has nothing to add; ``refusal`` says why it cannot go on, and that
-    it started again.
+    it started again. ``behind`` says that it is going through stored samples and what it says holds for
+    an earlier time than the last sample's; it is never ``done`` then.
     """
 
     estimate: Vector | None
@@ -28,6 +29,7 @@ class AlignStatus(NamedTuple):
     progress: float
     done: bool
     refusal: str | None = None
+    behind: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +83,11 @@ class AlignConfig:
     alignment in motion, ``window_s`` bounds the motion it looks at, ``rest_s`` is the standstill it takes
     for levelling when the vehicle grants it. ``slope`` rad: standard deviation of the ground's inclination
     where the vehicle stands at first.
+
+    ``store_s`` bounds the samples kept for going over them again, ``replay_samples`` (2 or more) how many of
+    them one step may work off. ``heading`` (rad, and its sigma, rad) of the vehicle's forward axis and
+    ``attitude`` (q_gb (4,), and sigma (3,) rad about east, north, up) are what is known from outside: a
+    stored heading, another system's attitude.
     """
 
     gyro_bias: float
@@ -99,6 +106,10 @@ class AlignConfig:
     window_s: float = 40.0
     rest_s: float = 5.0
     slope: float = math.radians(2.0)
+    store_s: float = 900.0
+    replay_samples: int = 64
+    heading: tuple[float, float] | None = None
+    attitude: tuple[Vector, Vector] | None = None
 
 
 State = TypeVar("State")
@@ -157,7 +168,8 @@ def advance(run: Run, sample: Sample) -> tuple[Run, AlignStatus]:
     if not status.done:
         # for nearly every sample: written out, which is faster than replacing by name
         run = Run(run.alignment, run.config, run.stage, state, run.restarts)
-        return run, AlignStatus(status.estimate, status.covariance, status.limit, progress, False)
+        estimate, covariance, limit, _, _, _, behind = status
+        return run, AlignStatus(estimate, covariance, limit, progress, False, None, behind)
     if run.stage + 1 == len(stages):
         return run._replace(state=state), status._replace(progress=1.0)
     given = stages[run.stage].finish(state)
