@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import can
 
-from bridge import arguments
 from bridge.assemble import Bridge
+from bridge.cli.bench_options import add_bench_options, epilog
 from bridge.clock import SimulatedClock
 from bridge.config import Config
 from bridge.errors import ConfigError
@@ -43,33 +43,9 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         description="Run a simulated bench and the bridge in one process on a virtual CAN bus: the vehicle "
         "is aligned and navigated, a ground station on udp 127.0.0.1:14550 shows it, everything is captured, "
         "and at the end the solution is compared with the truth.",
-        epilog="packaged scenarios: "
-        + "; ".join(f"{name} ({title})" for name, title in scenario.packaged().items()),
+        epilog=epilog(scenario.packaged()),
     )
-    parser.add_argument(
-        "scenario",
-        metavar="SCENARIO",
-        nargs="?",
-        default="drive",
-        help="name of a packaged scenario, or a TOML file (default: drive)",
-    )
-    parser.add_argument(
-        "--seconds", metavar="N", type=arguments.seconds, help="cut or extend the scenario to N seconds"
-    )
-    parser.add_argument(
-        "--speed",
-        metavar="max|X",
-        type=arguments.speed,
-        default=1.0,
-        help="X times real time, or as fast as the machine can (default: 1)",
-    )
-    parser.add_argument(
-        "--seed",
-        metavar="N",
-        type=arguments.whole(0),
-        default=1,
-        help="draws every sensor's errors (default: 1)",
-    )
+    add_bench_options(parser, default="drive", fastest="the machine can")
     parser.add_argument(
         "--out",
         metavar="FILE.mcap",

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 import can
 
-from bridge import arguments
+from bridge.cli.bench_options import add_bench_options, epilog
 from bridge.errors import ConfigError, SourceError
 from bridge.sources.can_help import reason
 from virtual_bus import scenario
@@ -28,31 +28,13 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         help="put the simulated sensors of a scenario on a CAN bus",
         description="Put the virtual devices of a scenario on a CAN bus and nothing else: what a vehicle's "
         "sensors would send. Run the bridge beside it: navbridge run DIR/config.toml (see --config-out).",
-        epilog="packaged scenarios: "
-        + "; ".join(f"{name} ({title})" for name, title in scenario.packaged().items()),
+        epilog=epilog(scenario.packaged()),
     )
-    parser.add_argument("scenario", metavar="SCENARIO", help="name of a packaged scenario, or a TOML file")
+    add_bench_options(parser, default=None, fastest="the bus takes it")
     parser.add_argument(
         "--interface", default="socketcan", help="a python-can interface (default: socketcan)"
     )
     parser.add_argument("--channel", default="vcan0", help="its channel (default: vcan0)")
-    parser.add_argument(
-        "--seed",
-        metavar="N",
-        type=arguments.whole(0),
-        default=1,
-        help="draws every sensor's errors (default: 1)",
-    )
-    parser.add_argument(
-        "--seconds", metavar="N", type=arguments.seconds, help="cut or extend the scenario to N seconds"
-    )
-    parser.add_argument(
-        "--speed",
-        metavar="max|X",
-        type=arguments.speed,
-        default=1.0,
-        help="X times real time, or as fast as the bus takes it (default: 1)",
-    )
     parser.add_argument(
         "--config-out",
         metavar="DIR",
