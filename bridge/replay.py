@@ -20,10 +20,10 @@ from bridge.recording import Capture
 from bridge.recording_capture import checkpoint
 from bridge.recording_format import DIGEST
 from bridge.recording_host import differences
+from nav.earth import geodetic_to_xyz
 from nav.types import S, Solution
 
 _OURS: Final = frozenset({"navbridge", "sources_sha256"})
-_EARTH_M: Final = 6371e3  # for the size of a deviation, not for navigation
 
 
 class Engine(Protocol):
@@ -57,9 +57,9 @@ class Deviation:
         old = [math.nan if value is None else value for value in recorded]
         new = replayed.state.tolist()
         self.compared += 1
-        north = (new[S.LAT] - old[S.LAT]) * _EARTH_M
-        east = (new[S.LON] - old[S.LON]) * _EARTH_M * math.cos(new[S.LAT])
-        self.horizontal_m = _larger(self.horizontal_m, math.hypot(north, east))
+        # at one height, in space: longitude starts again on the date line and means nothing at a pole
+        places = (geodetic_to_xyz(row[S.LAT], row[S.LON], 0.0) for row in (new, old))
+        self.horizontal_m = _larger(self.horizontal_m, math.dist(*places))
         self.height_m = _larger(self.height_m, abs(new[S.HEIGHT] - old[S.HEIGHT]))
         self.velocity_m_s = _larger(self.velocity_m_s, math.dist(new[S.V], old[S.V]))
         self.attitude_deg = _larger(self.attitude_deg, math.degrees(_angle(new[S.Q], old[S.Q])))

@@ -59,7 +59,8 @@ def test_another_engine_differs_by_as_much_as_it_does(record: Record) -> None:
     assert 0.0 < report.deviation.height_m < bias
     assert report.deviation.compared == 4
     ratio = report.deviation.horizontal_m / (report.deviation.height_m * 6371e3)
-    assert ratio == pytest.approx(math.sqrt(2.0), rel=1e-3)
+    # the ellipsoid's radii differ from the sphere's by its flattening
+    assert ratio == pytest.approx(math.sqrt(2.0), rel=4e-3)
     assert report.deviation.velocity_m_s == pytest.approx(
         math.sqrt(3.0) * report.deviation.height_m, rel=1e-9
     )
