@@ -25,6 +25,7 @@ from bridge.mavlink.peer import MavlinkPeer
 from bridge.navigators import build_navigator, provided
 from bridge.options import MavlinkSource
 from bridge.outputs import (
+    Checkpoint,
     FixOut,
     Health,
     Innovation,
@@ -96,6 +97,8 @@ class Engine:
     def __init__(self, config: Config, *, warm: bool = True) -> None:
         self._now = 0
         self._next_health = 0  # engine time, so at the first frame
+        self._unchained: list[tuple[DigestChain, Solution]] = []
+        self._closed: list[Checkpoint] = []
         self._silence: Silence | None = None
         self._quiet_until: dict[str, int] = {}
         self._unknown = 0
@@ -149,6 +152,7 @@ class Engine:
 
     def digests(self) -> dict[str, str]:
         """Digest of each navigator's solutions up to now."""
+        self._chain()
         return {line.name: line.chain.final() for line in self._lines}
 
     def feed(self, frame: RawFrame) -> Sequence[Output]:
@@ -163,6 +167,10 @@ class Engine:
                 return _NOTHING
             frame = RawFrame(seq, self._now, source, key, data)
         out: list[Output] = []
+        if self._unchained:
+            self._chain()
+            out += self._closed
+            self._closed.clear()
         if self._now >= self._next_health:
             self._second(out)
         routes = self._routes.get((source, key))
@@ -187,14 +195,20 @@ class Engine:
             self._ask_peers(frame, out)
         return out
 
+    def _chain(self) -> None:
+        """Take solutions into their digests: with the next frame, while nobody waits for a solution."""
+        for chain, solution in self._unchained:
+            checkpoint = chain.add(solution)
+            if checkpoint is not None:
+                self._closed.append(checkpoint)
+        self._unchained.clear()
+
     def _take_all(self, line: _Line, said: Sequence[events.NavEvent], out: list[Output]) -> None:
         """Put what a navigator said into the outputs' words."""
         for event in said:
             if type(event) is Solution:
                 out.append(SolutionOut(line.name, event, self._now))
-                checkpoint = line.chain.add(event)
-                if checkpoint is not None:
-                    out.append(checkpoint)
+                self._unchained.append((line.chain, event))
             else:
                 self._take(line, event, out)
 
