@@ -63,21 +63,21 @@ class Standstill:
         config = self._config
         duration, n = float(rest[0]), float(rest[1])
         start = t_ns - round(duration * 1e9)
-        rate = rest[2:5] / duration
-        force = rest[5:8] / duration
-        variance = rest[8:14] / n - np.concatenate([rate, force]) ** 2
+        mean = rest[2:8] / duration  # rate and force
+        squares = rest[8:14] / n
         rest[:] = 0.0
-        quiet = (
-            float(np.sum(variance[0:3])) < self._gyro**2
-            and float(np.sum(variance[3:6])) < self._accel**2
-            and bool(np.all(variance < self._axes**2))
-        )
-        found = Rest(start, t_ns, rate)
+        found = Rest(start, t_ns, mean[0:3])
         if self._odo_ns is not None and t_ns - self._odo_ns < 1_000_000_000:
             # the wheel's word on the end of the interval may still be on its way
             self._waiting.append(found)
             del self._waiting[:-4]
             return self._confirmed()
+        variance = squares - mean**2
+        quiet = (
+            float(np.sum(variance[0:3])) < self._gyro**2
+            and float(np.sum(variance[3:6])) < self._accel**2
+            and bool(np.all(variance < self._axes**2))
+        )
         # in an outage the speed is known less well than a vehicle at rest deserves
         speed = float(np.sqrt(v_n @ v_n))
         limit = max(config.rest_speed, min(3.0 * sigma_v, 3.0))
