@@ -71,6 +71,10 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
             "as no device provides gnss"
         )
     _check_updates(config.file, key, options)
+    channel = options.height_channel
+    if channel is not None and "baro" not in kinds:
+        expected = "a device among its devices that provides baro"
+        raise ConfigError(f"{config.file}: {key}.height_channel: found no barometer, expected {expected}")
     C_vb = _mounting(options)
     errors = _imu_errors(options)
     gnss_lever_arm = np.array(options.gnss_lever_arm_m)
@@ -107,6 +111,7 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         azimuth=options.azimuth,
         azimuth_rate=options.azimuth_rate_deg_per_h * _DEG_PER_H,
         samples_per_update=options.samples_per_update,
+        height_channel=None if channel is None else (channel.order, channel.time_constant_s),
         baro_bias=options.barometer_bias_m,
         gap_limit=options.gap_limit_s,
         align=_align(options, errors, gnss_lever_arm, C_vb),

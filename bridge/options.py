@@ -123,6 +123,17 @@ class AlignOptions(Table):
     window_s: Positive = 40.0
 
 
+class HeightChannel(Table):
+    """``[navigator.NAME.height_channel]``: the barometer's height is fed back by fixed gains.
+
+    ``order`` 2 or 3; the time constant is that of its poles. What the barometer differs by from the height at
+    the start of navigation is taken to be its bias. Without this table the filter uses the barometer.
+    """
+
+    order: Annotated[int, Meta(ge=2, le=3)] = 2
+    time_constant_s: Annotated[float, Meta(gt=0.0, le=500.0)] = 30.0
+
+
 class NavigatorOptions(Table):
     """``[navigator.NAME]``: who is heard, how it starts, and where things are.
 
@@ -181,3 +192,4 @@ class NavigatorOptions(Table):
     samples_per_update: Annotated[int, Meta(ge=1, le=6)] = 2
     imu_errors: ImuErrors = field(default_factory=ImuErrors)
     align: AlignOptions = field(default_factory=AlignOptions)
+    height_channel: HeightChannel | None = None

@@ -82,7 +82,9 @@ class Aiding:
         return self._timeline.measure("speed", s.t_ns, np.array([0.0, s.speed, sigma]))
 
     def barometer(self, s: BaroSample) -> bool:
-        """Enter a height."""
+        """Enter a height, or feed it to the height channel where there is one."""
+        if self._config.height_channel is not None:
+            return self._timeline.external_height(s.t_ns, s.height, s.sigma)
         return self._timeline.measure("barometer", s.t_ns, np.array([0.0, s.height, s.sigma]))
 
     def odometer(self, s: OdoSample) -> None:

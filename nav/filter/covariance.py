@@ -210,7 +210,7 @@ def predict(
         P[c, c] += par[P_Q + c] * dt
     if n > 25:
         keep = 1.0 - par[P_GNSS] * dt
-        for i in range(25, n):
+        for i in range(25, 28):
             P[i, i] -= par[P_Q + i] * dt
         turn = mid[M_EN + 2] * dt
         if turn != 0.0:
@@ -220,7 +220,7 @@ def predict(
             for c in range(n):
                 a, b = P[c, 25], P[c, 26]
                 P[c, 25], P[c, 26] = a + turn * b, b - turn * a
-        for i in range(25, n):
+        for i in range(25, 28):
             for c in range(n):
                 P[i, c] *= keep
                 P[c, i] *= keep
@@ -229,3 +229,60 @@ def predict(
         P[i, i] += par[P_Q + i] * dt
         P[3 + i, 3 + i] += (par[P_Q + 3 + i] * factor + extra_v) * dt
         P[6 + i, 6 + i] += (par[P_Q + 6 + i] * factor + extra_phi) * dt
+
+
+def feedback_readable(P: Matrix, gains: tuple[float, float, float], q: float, dt: float) -> Matrix:
+    """Covariance (N, N) after ``dt`` seconds of feedback from an external height, N = 19 or more.
+
+    ``gains`` k1, k2, k3 of `nav.strapdown.height`; ``q`` (m^2 s) is the density of the external height's
+    white noise. Its slow error is the barometer bias: the difference fed back is in error by that of the
+    height and that of the bias together.
+    """
+    k1, k2, k3 = gains
+    feed = np.zeros(len(P))
+    feed[2], feed[5] = -k1, -k2
+    F = np.zeros_like(P)
+    if len(P) > 28:
+        feed[28] = k3
+        F[5, 28] = -1.0
+    F[:, 2] += feed
+    F[:, 18] += feed
+    Phi = np.eye(len(P)) + F * dt
+    return np.asarray(Phi @ P @ Phi.T + np.outer(feed, feed) * q * dt)
+
+
+@kernel
+def feedback(P: Matrix, k1: float, k2: float, k3: float, q: float, dt: float) -> None:
+    """Covariance ``P`` through the feedback of a height channel, in place. Twin of `feedback_readable`."""
+    n = P.shape[0]
+    a, b, c = k1 * dt, k2 * dt, k3 * dt
+    third = n > 28
+    for k in range(n):
+        s = P[2, k] + P[18, k]
+        P[2, k] -= a * s
+        P[5, k] -= b * s
+        if third:
+            P[5, k] -= dt * P[28, k]
+            P[28, k] += c * s
+    for k in range(n):
+        s = P[k, 2] + P[k, 18]
+        P[k, 2] -= a * s
+        P[k, 5] -= b * s
+        if third:
+            P[k, 5] -= dt * P[k, 28]
+            P[k, 28] += c * s
+    # both triangles by sums in the same order but for rounding; one is enough
+    for i in range(n):
+        for j in range(i):
+            P[j, i] = P[i, j]
+    r = q / dt
+    P[2, 2] += a * a * r
+    P[5, 5] += b * b * r
+    P[2, 5] += a * b * r
+    P[5, 2] += a * b * r
+    if third:
+        P[28, 28] += c * c * r
+        P[2, 28] -= a * c * r
+        P[28, 2] -= a * c * r
+        P[5, 28] -= b * c * r
+        P[28, 5] -= b * c * r

@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 
 from nav.events import Innovation, NavEvent, Notice
+from nav.filter.height_feed import HeightFeed, take_offset
 from nav.filter.measurements import MEASUREMENTS, Measurement, vehicle_velocity
 from nav.filter.propagate import (
     REST_SIZE,
@@ -121,6 +122,7 @@ class Timeline:
         self.t_ns = 0
         self._begin_ns = 0
         self.events: list[NavEvent] = []
+        self._feed = HeightFeed()
 
     def begin(self, t_ns: int, x: Vector, P: Vector) -> None:
         """Start afresh at ``t_ns`` with state ``x`` (X_SIZE,) and covariance ``P`` (states, states)."""
@@ -134,6 +136,7 @@ class Timeline:
         live.cursor = 0
         self.behind = False
         self._snap_u[:] = -1
+        self._feed = HeightFeed()
         self._log.clear()
         self._keys.clear()
         self._times[0] = t_ns
@@ -141,6 +144,8 @@ class Timeline:
 
     def last_accepted(self, kind: str) -> int:
         """Time (ns) of the last accepted measurement of a kind; the start of navigation before any."""
+        if kind == "barometer" and self._feed.t_ns is not None:
+            return self._feed.t_ns
         return int(self.live.books[_ORDER[kind], 0])
 
     def used(self, *kinds: str) -> bool:
@@ -194,6 +199,7 @@ class Timeline:
         row[ROW_GAP] = gap
         row[ROW_NOISE] = noise
         row[ROW_N] = samples
+        self._feed.fill(row, t_ns, dt)
         self._times[place] = t_ns
         return place
 
@@ -226,6 +232,23 @@ class Timeline:
     def act(self, t_ns: int, action: Callable[[Filter], None]) -> bool:
         """Enter something to be done to the filter at ``t_ns``, after the measurements of that time."""
         return self._enter(t_ns, 100, None, np.zeros(1), action)
+
+    def external_height(self, t_ns: int, height: float, sigma: float) -> bool:
+        """Feed a height (m, one sigma m) to the height channel, from the next update on; False: stale.
+
+        Whatever the first one differs by from the navigated height is taken to be the barometer's bias.
+        """
+        feed = self._feed
+        if feed.t_ns is None:
+            # not into a filter that is about to be replaced
+            if self.behind:
+                return True
+            age = (self.t_ns - t_ns) * 1e-9
+            self.act(self.t_ns, lambda f: take_offset(f.x, f.P, height, sigma, age))
+        elif t_ns <= feed.t_ns:
+            return False
+        feed.take(t_ns, height, sigma)
+        return True
 
     def restart_path(self, t_ns: int) -> bool:
         """End the path integral of the odometer point at ``t_ns`` and start the next one."""

@@ -14,7 +14,7 @@ from nav.earth import curvature
 from nav.filter.states import X_BA, X_BB, X_BG, X_GB, X_KO, X_PATH, X_PT, X_QV, X_SA, X_SG
 from nav.jit import kernel
 from nav.rotation import exponential, multiply, rotate
-from nav.strapdown.kernels import X_C, X_H, X_Q, X_V, rotate_columns
+from nav.strapdown.kernels import X_A_H, X_C, X_H, X_Q, X_V, rotate_columns
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -156,6 +156,8 @@ def correct(x: Vector, dx: Vector) -> None:
         for i in range(3):
             x[X_SG + i] -= dx[19 + i]
             x[X_SA + i] -= dx[22 + i]
+    if dx.shape[0] > 28:
+        x[X_A_H] -= dx[28]
     if dx.shape[0] > 25:
         for i in range(3):
             x[X_GB + i] -= dx[25 + i]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE, gravity_north, normal_gravity, radii
-from nav.filter.covariance import PREDICT_SIZE, predict
+from nav.filter.covariance import PREDICT_SIZE, feedback, predict
 from nav.filter.states import (
     P_AXES,
     P_GAP_A,
@@ -40,7 +40,7 @@ from nav.filter.states import (
 from nav.jit import kernel
 from nav.rotation import logarithm, multiply, rotate
 from nav.strapdown.coning import MOST_SAMPLES
-from nav.strapdown.control import U_H, U_SIZE
+from nav.strapdown.control import U_H, U_KH, U_SIZE
 from nav.strapdown.kernels import (
     M_C,
     M_EN,
@@ -63,8 +63,10 @@ ROW_DT: Final = 0  # s, over all samples
 ROW_GAP: Final = 1  # 1: nothing was measured over this interval
 ROW_NOISE: Final = 2  # factor on the noise densities of velocity and phi
 ROW_H: Final = 3  # external height for the height channel, m
-ROW_N: Final = 4  # samples in this row
-ROW_D: Final = 5  # angle increments of all samples, then velocity increments
+ROW_H_AGE: Final = 4  # and how long before the middle of the row it was measured, s
+ROW_H_Q: Final = 5  # and the density of its noise, m^2 s; negative: there is none
+ROW_N: Final = 6  # samples in this row
+ROW_D: Final = 7  # angle increments of all samples, then velocity increments
 
 
 def row_size(samples: int) -> int:
@@ -150,7 +152,12 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
         extra_phi = 0.0
     for i in range(U_SIZE):
         u[i] = par[P_U + i]
-    u[U_H] = row[ROW_H]
+    fed = row[ROW_H_Q] >= 0.0
+    if fed:
+        u[U_H] = row[ROW_H] + row[ROW_H_AGE] * x[X_V + 2] - x[X_BB]
+    else:
+        for i in range(3):
+            u[U_KH + i] = 0.0
     vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
     increments(d, n, inc)
     strapdown(x, inc, dt, u, mid)
@@ -203,6 +210,8 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
         extra_phi,
         work[_PREDICT:],
     )
+    if fed:
+        feedback(P, u[U_KH], u[U_KH + 1], u[U_KH + 2], row[ROW_H_Q], dt)
     if row[ROW_GAP] == 0.0 and (par[P_VIB_G] > 0.0 or par[P_VIB_A] > 0.0):
         _add_vibration(P, mid, par[P_VIB_G], par[P_VIB_A], row)
     w = np.sqrt(wx * wx + wy * wy + wz * wz)

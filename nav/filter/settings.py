@@ -12,6 +12,8 @@ from nav.align.types import AlignConfig
 from nav.filter import states as st
 from nav.strapdown.azimuth import azimuth_control
 from nav.strapdown.coning import MOST_SAMPLES
+from nav.strapdown.control import U_KH
+from nav.strapdown.height import height_gains
 from nav.types import Vector
 
 _TURN: Final = 1.0  # rad
@@ -86,6 +88,9 @@ class NavigatorConfig:
     - ``replay_updates``: most stored updates that one call works off
     - ``azimuth``: law of `nav.strapdown.azimuth`; ``azimuth_rate`` rad/s of a rotating one.
       ``samples_per_update``: 1 to 6, order of the coning and sculling algorithms
+    - ``height_channel``: order (2 or 3) and time constant s of the feedback of the barometer's height by
+    fixed
+      gains instead of updates of the filter; None: the filter uses the barometer
     - ``align``: what the alignment needs beyond this; None: its own defaults
 
     Raises ValueError for an azimuth law, a rate or a number of samples that there is not, and for one
@@ -134,10 +139,13 @@ class NavigatorConfig:
     azimuth: str = "wander"
     azimuth_rate: float = 0.0
     samples_per_update: int = 2
+    height_channel: tuple[int, float] | None = None
     align: AlignConfig | None = None
 
     def __post_init__(self) -> None:
         azimuth_control(self.azimuth, self.azimuth_rate)
+        if self.height_channel is not None:
+            height_gains(*self.height_channel)
         if not 1 <= self.samples_per_update <= MOST_SAMPLES:
             raise ValueError(f"{self.samples_per_update} samples an update, expected 1 to {MOST_SAMPLES}")
         if self.samples_per_update == 1 and max(self.imu.gyro_vibration, self.imu.accel_vibration) > 0.0:
@@ -146,8 +154,10 @@ class NavigatorConfig:
     @property
     def states(self) -> int:
         """Number of error states of the filter."""
-        if max(self.gnss_correlated) > 0.0:
+        if self.height_channel is not None and self.height_channel[0] > 2:
             return st.ALL
+        if max(self.gnss_correlated) > 0.0:
+            return st.RECEIVER
         return st.FULL if self.imu.gyro_scale or self.imu.accel_scale else st.BASIC
 
 
@@ -177,6 +187,8 @@ def parameters(config: NavigatorConfig) -> Vector:
     p[st.P_GAP_W] = config.gap_rate
     p[st.P_GAP_A] = config.gap_accel
     p[st.P_U :] = azimuth_control(config.azimuth, config.azimuth_rate)
+    if config.height_channel is not None:
+        p[st.P_U + U_KH : st.P_U + U_KH + 3] = height_gains(*config.height_channel)
     imu = config.imu
     p[st.P_ARW] = imu.angle_random_walk
     p[st.P_VIB_G] = imu.gyro_vibration

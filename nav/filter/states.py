@@ -15,6 +15,9 @@ follows the naming law: computed ``C = (I - [phi x]) C_nb``, so that the true at
   out of the filter where their initial sigma is zero
 - gnss (3): metres along n, of the slowly varying error of the receiver's position (orbits, ionosphere,
   reflections), which decays to zero with its correlation time; left out where its sigma is zero
+- height correction (1): m/s^2, of what a third-order height channel takes off the vertical acceleration,
+where
+  without errors it would take nothing; left out where there is no such channel
 
 The nominal state that they correct is one float64 vector: the strapdown state (see
 `nav.strapdown.kernels`), then the places ``X_`` below.
@@ -37,12 +40,15 @@ BARO_BIAS: Final = slice(18, 19)
 GYRO_SCALE: Final = slice(19, 22)
 ACCEL_SCALE: Final = slice(22, 25)
 GNSS: Final = slice(25, 28)
+HEIGHT_A: Final = slice(28, 29)
 BASIC: Final = 19
 """Number of states without the scale factors."""
 FULL: Final = 25
 """Number of states with them."""
-ALL: Final = 28
+RECEIVER: Final = 28
 """Number of states with the receiver's error as well."""
+ALL: Final = 29
+"""Number of states with the height channel's integral as well."""
 
 X_BG: Final = 18  # gyro bias, 3
 X_BA: Final = 21  # accelerometer bias, 3

@@ -66,6 +66,11 @@ def test_the_example_is_in_order(tmp_path: Path) -> None:
             ["navigator.main.azimuth_rate_deg_per_h", "60.0", "(wander)"],
         ),
         ("alignment =", 'azimuth = "rotating"\nalignment =', ["azimuth_rate_deg_per_h", "other than 0"]),
+        (
+            "[source.can0]",
+            "[navigator.main.height_channel]\norder = 4\n[source.can0]",
+            ["navigator.main.height_channel.order", "4", "<= 3"],
+        ),
         ("alignment =", "samples_per_update = 7\nalignment =", ["navigator.main.samples_per_update", "<= 6"]),
         ("[-0.5, -0.5, 1.1]", "[-0.5, -0.5]", ["navigator.main.gnss_lever_arm_m", "length 3"]),
         ("[-0.5, -0.5, 1.1]", '[-0.5, "x", 1.1]', ["navigator.main.gnss_lever_arm_m[1]", '"x"', "a number"]),
@@ -169,6 +174,11 @@ def test_units_of_a_navigator(tmp_path: Path) -> None:
     turning = 'azimuth = "rotating"\nazimuth_rate_deg_per_h = 60.0\nsamples_per_update = 4\nalignment ='
     config = navigator_config("main", built(tmp_path, BENCH.replace("alignment =", turning, 1)))
     assert config.azimuth_rate == pytest.approx(math.radians(1.0 / 60.0))
+    assert config.height_channel is None
+    channel = BENCH + "\n[navigator.main.height_channel]\norder = 3\n"
+    assert navigator_config("main", built(tmp_path, channel)).height_channel == (3, 30.0)
+    with pytest.raises(ConfigError, match=r"height_channel: found no barometer"):
+        navigator_config("main", built(tmp_path, channel.replace(', "baro"]', "]")))
     assert config.samples_per_update == 4
 
 

@@ -29,7 +29,7 @@ def row():
 
 def test_it_keeps_its_sigma_and_forgets_with_its_time():
     x, par = nominal(v=(0.0, 0.0, 0.0)), parameters(CONFIG)
-    P, work = np.zeros((st.ALL, st.ALL)), np.zeros(WORK_SIZE)
+    P, work = np.zeros((st.RECEIVER, st.RECEIVER)), np.zeros(WORK_SIZE)
     P[st.GNSS, st.GNSS] = STEADY
     P[0, 25] = P[25, 0] = -0.09
     x[st.X_GB : st.X_GB + 3] = 1.0
@@ -51,11 +51,11 @@ def test_a_fix_is_off_by_it():
     for error in (0.0, 0.25):
         x = nominal(wander=0.0)
         x[st.X_GB] = error
-        gnss_position(x, np.eye(st.ALL), par, z.copy(), -1.0, out)
+        gnss_position(x, np.eye(st.RECEIVER), par, z.copy(), -1.0, out)
         residual.append(out[0])
     # differences of positions at 6400 km are good to 1e-9 m
     assert residual[1] - residual[0] == pytest.approx(0.25, abs=1e-8)
-    dx = np.zeros(st.ALL)
+    dx = np.zeros(st.RECEIVER)
     dx[25:28] = 0.1, 0.2, 0.3
     x = nominal()
     correct(x, dx)
@@ -67,7 +67,7 @@ def test_the_first_position_carries_it():
     _, P, _ = initial_state(init, CONFIG)
     np.testing.assert_allclose(P[st.POSITION, st.GNSS], -STEADY)
     # what a fix measures is position plus error: known to the alignment's own sigma
-    H = np.zeros((3, st.ALL))
+    H = np.zeros((3, st.RECEIVER))
     H[:, st.POSITION] = H[:, st.GNSS] = np.eye(3)
     np.testing.assert_allclose(H @ P @ H.T, 0.01 * np.eye(3), atol=1e-12)
 
