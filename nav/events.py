@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -43,11 +44,19 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class AlignmentProgress:
-    """How far the alignment is (0 to 1) and what its attitude is good for, rad (3,) east, north, up."""
+    """How far the alignment is (0 to 1) and what its attitude is good for, rad (3,) east, north, up.
+
+    ``limit`` (3,) rad is the sigma that it cannot beat, ``method`` its name, ``restarts`` how often it had to
+    start again; ``behind``: it is going through stored samples.
+    """
 
     t_ns: int
     progress: float
     sigma: tuple[float, float, float]
+    method: str = ""
+    limit: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    behind: bool = False
+    restarts: int = 0
 
 
 @dataclass(frozen=True, slots=True)

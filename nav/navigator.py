@@ -1,9 +1,9 @@
 """The navigator: samples in, solutions and events out, in the order in which they arrive.
 
 A pure fold: no clock is read, nothing is drawn. Modes: STANDBY until `Navigator.start`, ALIGN until the
-alignment hands over, then NAVIGATE; CATCH_UP while late data is worked in, DEGRADED while an aid that the
-configuration counts on is missing, FAULT when the state is no longer a number or the azimuth law is about
-to fail.
+alignment hands over, then NAVIGATE; CATCH_UP while stored samples are gone through, by an alignment or to
+work in late data, DEGRADED while an aid that the configuration counts on is missing, FAULT when the state
+is no longer a number or the azimuth law is about to fail.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from nav.align import ALIGNMENTS, NavInit, Run, advance, begin, result
+from nav.align import ALIGNMENTS, AlignStatus, NavInit, Run, advance, begin, result
 from nav.events import AlignmentProgress, ModeChange, NavEvent, Notice, Refusal
 from nav.filter.aiding import Aiding
 from nav.filter.history import Timeline
@@ -65,7 +65,8 @@ class Navigator:
         self._aiding = Aiding(config, self._timeline)
         self._standstill = Standstill(config)
         self._events: list[NavEvent] = []
-        self._runs: list[Run] = []
+        self._runs: list[Run] = []  # not empty: it aligns
+        self._methods: list[str] = []  # their names
         self._pending: list[ImuSample] = []
         self._imu_ns: int | None = None
         self._check_ns = 0
@@ -77,9 +78,12 @@ class Navigator:
 
     # ---- commands ------------------------------------------------------------------------------
 
-    def start(self, t_ns: int) -> list[NavEvent]:
-        """Begin with alignment at ``t_ns``, whatever the mode was."""
-        self._align(t_ns, "start", self.config.alignment)
+    def start(self, t_ns: int, method: str | None = None) -> list[NavEvent]:
+        """Begin with alignment at ``t_ns``, whatever the mode was.
+
+        ``method`` is a name of `ALIGNMENTS`; None: the configured one.
+        """
+        self._align(t_ns, "start", self.config.alignment if method is None else method)
         return self._drain()
 
     def begin(self, init: NavInit) -> list[NavEvent]:
@@ -114,11 +118,11 @@ class Navigator:
             return self._drain()
         if type(sample) is ImuSample:
             self._inertial(sample)
-        elif mode is Mode.ALIGN:
+        elif self._runs:
             self._aligning(sample)
         else:
             self._aid(sample)
-        if self._timeline.behind and self.mode is not Mode.FAULT:
+        if self._timeline.behind and self.mode is not Mode.FAULT and not self._runs:
             self._catch_up()
         return self._drain()
 
@@ -141,34 +145,58 @@ class Navigator:
     def _align(self, t_ns: int, reason: str, *names: str) -> None:
         """Run these alignments side by side: the first to end hands over, the first named is reported."""
         config = align_config(self.config)
-        self._runs = [begin(ALIGNMENTS[name], config) for name in dict.fromkeys(names)]
+        self._methods = list(dict.fromkeys(names))
+        self._runs = [begin(ALIGNMENTS[name], config) for name in self._methods]
         self._pending = []
         self._check_ns = t_ns
         self._change(t_ns, Mode.ALIGN, reason)
 
     def _aligning(self, sample: Sample) -> None:
-        t = sample.t_ns
-        for place in reversed(range(len(self._runs))):
-            self._runs[place], status = advance(self._runs[place], sample)
+        t, runs = sample.t_ns, self._runs
+        for place in reversed(range(len(runs))):
+            runs[place], status = advance(runs[place], sample)
             if status.done:
-                self._navigate(result(self._runs[place]), "aligned")
+                self._navigate(result(runs[place]), f"aligned by {self._methods[place]}")
                 return
         if status.refusal is not None:
             self._events.append(Notice(t, f"alignment starts again: {status.refusal}"))
+        if status.behind is not (self.mode is Mode.CATCH_UP):
+            if status.behind:
+                self._change(t, Mode.CATCH_UP, f"{self._methods[0]} goes through stored samples")
+            else:
+                self._change(t, Mode.ALIGN, "caught up")
         if t >= self._check_ns:
             self._check_ns = t + _CHECK_NS
-            sigma = np.sqrt(np.maximum(np.diag(status.covariance), 0.0))
-            self._events.append(AlignmentProgress(t, status.progress, tuple(sigma.tolist())))
-            if status.estimate is not None:
-                row = np.full(S.SIZE, math.nan)
-                C_vb = self.config.C_vb
-                C_gb = dcm_from_quat(status.estimate)
-                row[S.Q] = quat_from_dcm(C_gb if C_vb is None else C_gb @ C_vb.T)
-                row[S.SIGMA_PHI] = sigma
-                flags = SolutionFlag.LEVEL if max(sigma[:2]) < self.config.heading_limit else 0
-                if C_vb is not None:
-                    flags |= SolutionFlag.MOUNTING
-                self._events.append(Solution(t, Mode.ALIGN, int(flags), row))
+            self._report(t, status)
+
+    def _report(self, t: int, status: AlignStatus) -> None:
+        """What the alignment that was named first says of itself."""
+        sigma = np.sqrt(np.maximum(np.diag(status.covariance), 0.0))
+        east, north, up = sigma.tolist()
+        limit_e, limit_n, limit_u = status.limit.tolist()
+        self._events.append(
+            AlignmentProgress(
+                t,
+                status.progress,
+                (east, north, up),
+                self._methods[0],
+                (limit_e, limit_n, limit_u),
+                status.behind,
+                self._runs[0].restarts,
+            )
+        )
+        # an estimate from the midst of stored samples holds for another time
+        if status.estimate is None or status.behind:
+            return
+        row = np.full(S.SIZE, math.nan)
+        C_vb = self.config.C_vb
+        C_gb = dcm_from_quat(status.estimate)
+        row[S.Q] = quat_from_dcm(C_gb if C_vb is None else C_gb @ C_vb.T)
+        row[S.SIGMA_PHI] = sigma
+        flags = SolutionFlag.LEVEL if max(sigma[:2]) < self.config.heading_limit else 0
+        if C_vb is not None:
+            flags |= SolutionFlag.MOUNTING
+        self._events.append(Solution(t, Mode.ALIGN, int(flags), row))
 
     def _navigate(self, init: NavInit, reason: str) -> None:
         self._runs = []
@@ -202,7 +230,7 @@ class Navigator:
             if silent > 0.5e9 * s.dt + 1e6 or (s.flags & _GAP and silent > 0.0):
                 self._silence(last, silent, t)
         self._imu_ns = t
-        if self.mode is Mode.ALIGN:
+        if self._runs:
             self._aligning(s)
             return
         pending = self._pending
@@ -232,7 +260,7 @@ class Navigator:
 
     def _silence(self, last: int, silent: float, t: int) -> None:
         """Inertial samples are missing between ``last`` and the sample at ``t``."""
-        if self.mode is Mode.ALIGN:
+        if self._runs:
             # the alignment's stages judge gaps by the times of their samples
             return
         pending, self._pending = self._pending, []
@@ -240,7 +268,11 @@ class Navigator:
             self._timeline.advance(last, sum(sample.dt for sample in pending), 1.0, pending)
         if silent > self.config.gap_limit * 1e9:
             # it may stand or be on its way: whichever alignment can end takes over
-            self._align(t, f"no inertial data for {silent * 1e-9:.1f} s", self.config.alignment, "motion")
+            names = [self.config.alignment, "motion"]
+            if "heading" in ALIGNMENTS[names[0]].needs:
+                # what was known of the heading beforehand may be so no more
+                del names[0]
+            self._align(t, f"no inertial data for {silent * 1e-9:.1f} s", *names)
             return
         self._timeline.rest[:] = 0.0
         self._timeline.bridge(last + round(silent), silent * 1e-9)
