@@ -88,6 +88,10 @@ class AlignConfig:
     them one step may work off. ``heading`` (rad, and its sigma, rad) of the vehicle's forward axis and
     ``attitude`` (q_gb (4,), and sigma (3,) rad about east, north, up) are what is known from outside: a
     stored heading, another system's attitude.
+
+    ``odometer_lever_arm`` (3,) m from IMU to the odometer's point in b; ``odometer_quantum`` m of a tick;
+    ``odometer_scale`` (1) standard deviation of its scale factor; ``sigma_mounting`` rad: how far ``C_vb`` is
+    to be trusted; ``slip`` m/s: standard deviation of the velocity across the vehicle on a straight road.
     """
 
     gyro_bias: float
@@ -110,6 +114,11 @@ class AlignConfig:
     replay_samples: int = 64
     heading: tuple[float, float] | None = None
     attitude: tuple[Vector, Vector] | None = None
+    odometer_lever_arm: Vector = field(default_factory=lambda: np.zeros(3))
+    odometer_quantum: float = 0.0
+    odometer_scale: float = 0.01
+    sigma_mounting: float = math.radians(0.1)
+    slip: float = 0.02
 
 
 State = TypeVar("State")
