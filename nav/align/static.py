@@ -81,11 +81,11 @@ def coarse_step(state: Coarse, sample: Sample) -> tuple[Coarse, AlignStatus]:
             return Coarse(config, still, state.status), state.status  # within a block nothing changes
     else:
         still, reason = watch.aid(state.still, sample)
-    place = _place(config, still)
+    place = place_of(config, still)
     ready = still.seconds >= config.coarse_s - 0.5 * watch.BLOCK_S and float(still.block[DT]) == 0.0
     if reason is None and ready:
         if place is not None:
-            reason = _implausible(config, still, place[0])
+            reason = implausible(config, still, place[0])
         elif still.seconds > config.coarse_s + PATIENCE_S:
             reason = "no position: no GNSS fix came and the configuration gives none"
     lat, height = (place[0], place[2]) if place is not None else (0.8, 0.0)
@@ -100,7 +100,8 @@ def coarse_step(state: Coarse, sample: Sample) -> tuple[Coarse, AlignStatus]:
     return Coarse(config, still, status), status
 
 
-def _place(config: AlignConfig, still: Still) -> tuple[float, float, float] | None:
+def place_of(config: AlignConfig, still: Still) -> tuple[float, float, float] | None:
+    """Where it stands (lat rad, lon rad, height m): as configured, or the antenna's mean; None: not known."""
     if config.position is not None:
         return config.position
     if still.fixes == 0:
@@ -108,7 +109,7 @@ def _place(config: AlignConfig, still: Still) -> tuple[float, float, float] | No
     return float(still.place[0]), float(still.place[1]), float(still.place[2])
 
 
-def _implausible(config: AlignConfig, still: Still, lat: float) -> str | None:
+def implausible(config: AlignConfig, still: Still, lat: float) -> str | None:
     """What contradicts a standing IMU on the turning Earth, or None."""
     north, up = EARTH_RATE * math.cos(lat), EARTH_RATE * math.sin(lat)
     sigma = math.hypot(config.gyro_bias, config.angle_random_walk / math.sqrt(still.seconds))
@@ -172,15 +173,15 @@ def coarse_covariance(config: AlignConfig, C_gb: Vector, lat: float, height: flo
 def coarse_finish(state: Coarse) -> NavInit:
     """Attitude by `triad`."""
     config, still = state.config, state.still
-    place = _place(config, still)
+    place = place_of(config, still)
     assert place is not None
     C = triad(still.force, still.rate, place[0], place[2])
     P = coarse_covariance(config, C, place[0], place[2], still.seconds)
     sigma_p = np.full(3, config.sigma_position) if config.position is not None else still.sigma_place
-    return _nav_init(config, still.t_ns, place, sigma_p, C, np.zeros(12), P)
+    return nav_init(config, still.t_ns, place, sigma_p, C, np.zeros(12), P)
 
 
-def _nav_init(
+def nav_init(
     config: AlignConfig,
     t_ns: int,
     place: tuple[float, float, float],
@@ -189,6 +190,7 @@ def _nav_init(
     x: Vector,
     P12: Vector,
 ) -> NavInit:
+    """Hand over a standing IMU: ``C`` (3, 3) is C_gb, ``x`` and ``P12`` (12, ...) as in the fine stage."""
     P = np.zeros((15, 15))
     P[0:3, 0:3] = np.diag(sigma_p**2)
     P[3:15, 3:15] = P12
@@ -328,18 +330,29 @@ def _transition(
 
 def fine_finish(state: Fine) -> NavInit:
     """Attitude, biases and their covariance at the last closed block."""
-    config, given, still = state.config, state.given, state.still
+    still = state.still
+    place, sigma_p = standing_at(state.config, state.given, still, state.C)
+    # the block just closed ends at the last sample
+    return nav_init(state.config, still.t_ns, place, sigma_p, state.C, state.x, state.P)
+
+
+def standing_at(
+    config: AlignConfig, given: NavInit, still: Still, C: Vector
+) -> tuple[tuple[float, float, float], Vector]:
+    """Place of a standing IMU (lat rad, lon rad, height m) and its sigma (3,), with ``C`` (3, 3) its C_gb.
+
+    What GNSS said in ``still``, or in ``given`` where it said nothing, less the lever arm.
+    """
     lat, lon, height = given.lat, given.lon, given.height
     sigma_p = given.sigma_p
     if config.position is None:
         if still.fixes:
             lat, lon, height = (float(value) for value in still.place)
             sigma_p = still.sigma_place
-        l_g = state.C @ config.gnss_lever_arm
+        l_g = C @ config.gnss_lever_arm
         r_e = ecef(lat, lon, height) - quat_rotate(position_quat(lat, lon), l_g)
         lat, lon, height = xyz_to_geodetic(*r_e)
-    # the block just closed ends at the last sample
-    return _nav_init(config, still.t_ns, (lat, lon, height), sigma_p, state.C, state.x, state.P)
+    return (lat, lon, height), sigma_p
 
 
 COARSE: Final = Stage(init=coarse_init, step=coarse_step, finish=coarse_finish)
