@@ -12,9 +12,10 @@ from bridge.drivers import DRIVERS
 from bridge.errors import ConfigError
 from bridge.options import NavigatorOptions
 from bridge.strict import unknown, wrong
-from nav.align import ALIGNMENTS, AlignConfig
+from nav.align import ALIGNMENTS, AlignConfig, lack
+from nav.filter.settings import align_config
 from nav.navigator import ImuErrors, Navigator, NavigatorConfig
-from nav.rotation import dcm_from_euler
+from nav.rotation import dcm_from_euler, quat_from_dcm
 from nav.strapdown.azimuth import AZIMUTH_LAWS
 from nav.types import Vector
 
@@ -59,17 +60,6 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
     if len(imus) != 1:
         found = ", ".join(imus) or "no IMU"
         raise ConfigError(f"{config.file}: {key}.devices: found {found}, expected exactly one IMU")
-    has_position = "gnss" in kinds or options.align.position_deg_m is not None
-    for need in sorted(ALIGNMENTS[options.alignment].needs):
-        if need not in kinds:
-            raise wrong(
-                config.file, f"{key}.alignment", options.alignment, f"a device that provides {need} with it"
-            )
-    if not has_position:
-        raise ConfigError(
-            f"{config.file}: {key}.align.position_deg_m: found nothing, expected a position, "
-            "as no device provides gnss"
-        )
     _check_updates(config.file, key, options)
     channel = options.height_channel
     if channel is not None and "baro" not in kinds:
@@ -78,6 +68,8 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
     C_vb = _mounting(options)
     errors = _imu_errors(options)
     gnss_lever_arm = np.array(options.gnss_lever_arm_m)
+    align = _align(config.file, key, options, errors, gnss_lever_arm, C_vb)
+    _check_needs(config.file, key, options.alignment, lack(ALIGNMENTS[options.alignment], kinds, align))
     rolls = "odometer" in kinds
     moves = rolls or "speed" in kinds
     return NavigatorConfig(
@@ -114,8 +106,34 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         height_channel=None if channel is None else (channel.order, channel.time_constant_s),
         baro_bias=options.barometer_bias_m,
         gap_limit=options.gap_limit_s,
-        align=_align(options, errors, gnss_lever_arm, C_vb),
+        align=align,
     )
+
+
+def lacking(name: str, config: Config) -> dict[str, str]:
+    """What each alignment lacks for one ``[navigator.NAME]``, a word of its needs or nothing.
+
+    Raises:
+        ConfigError: as `build_navigator`.
+    """
+    kinds = provided(name, config)
+    align = align_config(navigator_config(name, config))
+    return {method: lack(alignment, kinds, align) for method, alignment in ALIGNMENTS.items()}
+
+
+def _check_needs(file: str, key: str, alignment: str, lacks: str) -> None:
+    if lacks == "position":
+        raise ConfigError(
+            f"{file}: {key}.align.position_deg_m: found nothing, expected a position, "
+            "as no device provides gnss"
+        )
+    if lacks == "heading":
+        raise ConfigError(
+            f"{file}: {key}.align: found neither known_heading_deg nor known_attitude_deg, expected one of "
+            f"them with alignment {alignment}"
+        )
+    if lacks:
+        raise wrong(file, f"{key}.alignment", alignment, f"a device that provides {lacks} with it")
 
 
 def _check_updates(file: str, key: str, options: NavigatorOptions) -> None:
@@ -163,13 +181,28 @@ def _imu_errors(options: NavigatorOptions) -> ImuErrors:
 
 
 def _align(
-    options: NavigatorOptions, imu: ImuErrors, gnss_lever_arm: Vector, C_vb: Vector | None
+    file: str,
+    key: str,
+    options: NavigatorOptions,
+    imu: ImuErrors,
+    gnss_lever_arm: Vector,
+    C_vb: Vector | None,
 ) -> AlignConfig:
     table = options.align
-    position = None
+    position = heading = attitude = None
     if table.position_deg_m is not None:
         lat, lon, height = table.position_deg_m
         position = (lat * _DEG, lon * _DEG, height)
+    if table.known_heading_deg is not None:
+        heading = (table.known_heading_deg * _DEG, table.known_heading_sigma_deg * _DEG)
+    if table.known_attitude_deg is not None:
+        if C_vb is None:
+            place = f"{key}.align.known_attitude_deg"
+            raise wrong(file, place, table.known_attitude_deg, "none while mounting_deg is to be found")
+        pitch, roll, ahead = (angle * _DEG for angle in table.known_attitude_deg)
+        level, azimuth = (sigma * _DEG for sigma in table.known_attitude_sigma_deg)
+        q_gb = quat_from_dcm(dcm_from_euler(ahead, pitch, roll) @ C_vb)
+        attitude = (q_gb, np.array([level, level, azimuth]))
     return AlignConfig(
         gyro_bias=math.hypot(imu.gyro_bias, imu.gyro_instability),
         accel_bias=math.hypot(imu.accel_bias, imu.accel_instability),
@@ -186,4 +219,8 @@ def _align(
         sigma_heading=table.heading_deg * _DEG,
         window_s=table.window_s,
         rest_s=table.rest_s,
+        store_s=table.store_s,
+        replay_samples=table.replay_samples,
+        heading=heading,
+        attitude=attitude,
     )

@@ -111,6 +111,11 @@ class AlignOptions(Table):
     height in m above the ellipsoid) stands in where no GNSS gives one. ``sway_m_s`` is the rms velocity
     of the standing vehicle; ``rest_s`` the standstill that an alignment in motion takes for levelling,
     ``heading_deg`` the sigma at which it ends, ``window_s`` the motion it looks at.
+
+    Alignments that go over their data again keep at most ``store_s`` of it, and work off at most
+    ``replay_samples`` of what they kept with every sample that comes. What is known from outside, for the
+    stored alignment: ``known_heading_deg`` of the vehicle, or ``known_attitude_deg`` (its pitch, roll and
+    heading); the latter's sigmas are of the level and of the heading.
     """
 
     coarse_s: Positive = 60.0
@@ -121,6 +126,12 @@ class AlignOptions(Table):
     rest_s: Positive = 5.0
     heading_deg: Positive = 2.0
     window_s: Positive = 40.0
+    store_s: Positive = 900.0
+    replay_samples: Annotated[int, Meta(ge=8, le=1000)] = 64
+    known_heading_deg: float | None = None
+    known_heading_sigma_deg: Positive = 1.0
+    known_attitude_deg: Three | None = None
+    known_attitude_sigma_deg: tuple[Positive, Positive] = (0.1, 1.0)
 
 
 class HeightChannel(Table):

@@ -18,6 +18,7 @@ from nav.align.types import (
     Run,
     advance,
     begin,
+    lack,
     result,
 )
 
@@ -35,5 +36,6 @@ __all__ = [
     "Run",
     "advance",
     "begin",
+    "lack",
     "result",
 ]

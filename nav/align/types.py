@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -84,7 +84,7 @@ class AlignConfig:
     for levelling when the vehicle grants it. ``slope`` rad: standard deviation of the ground's inclination
     where the vehicle stands at first.
 
-    ``store_s`` bounds the samples kept for going over them again, ``replay_samples`` (2 or more) how many of
+    ``store_s`` bounds the samples kept for going over them again, ``replay_samples`` (8 or more) how many of
     them one step may work off. ``heading`` (rad, and its sigma, rad) of the vehicle's forward axis and
     ``attitude`` (q_gb (4,), and sigma (3,) rad about east, north, up) are what is known from outside: a
     stored heading, another system's attitude.
@@ -141,7 +141,11 @@ class Stage(Generic[State]):
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Stages in order, and the aids without which they cannot end: names of sample kinds ("gnss")."""
+    """Stages in order, and what they cannot end without.
+
+    ``needs``: names of sample kinds ("gnss", "odometer", "speed", "baro"), and "heading" where the
+    configuration must give a heading or an attitude. A position, given or from GNSS, they all need.
+    """
 
     needs: frozenset[str]
     stages: tuple[Stage[Any], ...]
@@ -155,6 +159,20 @@ class Run(NamedTuple):
     stage: int
     state: Any
     restarts: int = 0
+
+
+def lack(alignment: Alignment, kinds: Collection[str], config: AlignConfig) -> str:
+    """What an alignment cannot end for want of, where samples of ``kinds`` come: a word of ``needs``.
+
+    Or "position"; empty where nothing is missing.
+    """
+    for need in sorted(alignment.needs):
+        if need == "heading":
+            if config.heading is None and config.attitude is None:
+                return need
+        elif need not in kinds:
+            return need
+    return "" if config.position is not None or "gnss" in kinds else "position"
 
 
 def begin(alignment: Alignment, config: AlignConfig) -> Run:
