@@ -66,6 +66,18 @@ def test_an_alignment_is_judged_by_limit_and_claim():
     assert not alignment(error, covariance * 4.0, sigma).passed  # too modest
 
 
+def test_an_honest_alignment_fails_one_campaign_in_twenty():
+    rng = np.random.default_rng(5)
+    sigma = np.array([1e-5, 1e-5, 1e-3])
+    covariance = np.broadcast_to(np.diag(sigma**2), (30, 3, 3))
+    campaigns = 2000
+    failed = sum(
+        not alignment(rng.normal(size=(30, 3)) * sigma, covariance, sigma).passed for _ in range(campaigns)
+    )
+    # at most 5 %, less by what the four bands have in common; sigma of the counted share is 0.5 %
+    assert 0.025 < failed / campaigns < 0.06
+
+
 def test_epochs_lie_between_driving_off_and_the_end():
     what = load("drive")
     found = epochs(what, 200.0)
