@@ -136,18 +136,26 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
         ax, ay, az = rotate(x[0], -x[1], -x[2], -x[3], -north * ex, -north * ey, normal_gravity(ez, h))
         extra_v = par[P_GAP_A] * par[P_GAP_A] * dt
         extra_phi = par[P_GAP_W] * par[P_GAP_W] * dt
-        d[0], d[1], d[2] = wx * dt, wy * dt, wz * dt
-        d[3], d[4], d[5] = ax * dt, ay * dt, az * dt
+        sx, sy, sz = wx * dt, wy * dt, wz * dt
+        tx, ty, tz = ax * dt, ay * dt, az * dt
+        d[0], d[1], d[2], d[3], d[4], d[5] = sx, sy, sz, tx, ty, tz
     else:
         part = dt / n
-        for i in range(3):
-            bg, ba = x[X_BG + i] * part, x[X_BA + i] * part
-            sg, sa = 1.0 / (1.0 + x[X_SG + i]), 1.0 / (1.0 + x[X_SA + i])
-            for k in range(n):
-                o = 3 * k + i
-                p = o + 3 * n
-                d[o] = (row[ROW_D + o] - bg) * sg
-                d[p] = (row[ROW_D + p] - ba) * sa
+        wx, wy, wz = x[X_BG] * part, x[X_BG + 1] * part, x[X_BG + 2] * part
+        ax, ay, az = x[X_BA] * part, x[X_BA + 1] * part, x[X_BA + 2] * part
+        gx, gy, gz = 1.0 / (1.0 + x[X_SG]), 1.0 / (1.0 + x[X_SG + 1]), 1.0 / (1.0 + x[X_SG + 2])
+        fx, fy, fz = 1.0 / (1.0 + x[X_SA]), 1.0 / (1.0 + x[X_SA + 1]), 1.0 / (1.0 + x[X_SA + 2])
+        sx, sy, sz, tx, ty, tz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(n):
+            o, p = 3 * k, 3 * (n + k)
+            bx, by, bz = row[ROW_D + o] - wx, row[ROW_D + o + 1] - wy, row[ROW_D + o + 2] - wz
+            bx, by, bz = bx * gx, by * gy, bz * gz
+            d[o], d[o + 1], d[o + 2] = bx, by, bz
+            sx, sy, sz = sx + bx, sy + by, sz + bz
+            bx, by, bz = row[ROW_D + p] - ax, row[ROW_D + p + 1] - ay, row[ROW_D + p + 2] - az
+            bx, by, bz = bx * fx, by * fy, bz * fz
+            d[p], d[p + 1], d[p + 2] = bx, by, bz
+            tx, ty, tz = tx + bx, ty + by, tz + bz
         extra_v = 0.0
         extra_phi = 0.0
     for i in range(U_SIZE):
@@ -161,13 +169,8 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
     vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
     increments(d, n, inc)
     strapdown(x, inc, dt, u, mid)
-    for i in range(3):
-        w, f = 0.0, 0.0
-        for k in range(n):
-            w += d[3 * k + i]
-            f += d[3 * (n + k) + i]
-        x[X_W + i] = w / dt
-        x[X_F + i] = f / dt
+    x[X_W], x[X_W + 1], x[X_W + 2] = sx / dt, sy / dt, sz / dt
+    x[X_F], x[X_F + 1], x[X_F + 2] = tx / dt, ty / dt, tz / dt
     x[X_A], x[X_A + 1], x[X_A + 2] = (x[X_V] - vx) / dt, (x[X_V + 1] - vy) / dt, (x[X_V + 2] - vz) / dt
 
     # path of the odometer point in v

@@ -122,12 +122,14 @@ def turn_attitude(x: Vector, px: float, py: float, pz: float, zx: float, zy: flo
 
 
 @kernel
-def vertical_rate(u: Vector, ex: float, ey: float, ez: float, h: float, vx: float, vy: float) -> float:
-    """Vertical transport rate (rad/s) at polar axis (ex, ey, ez) in n. Twin of `mechanize.vertical_rate`."""
+def vertical_rate(u: Vector, ex: float, ey: float, ez: float, tx: float, ty: float) -> float:
+    """Vertical transport rate (rad/s) at polar axis (ex, ey, ez) in n with the level one (tx, ty).
+
+    v_E/(R_N + h) is the part of the level rate about north. Twin of `mechanize.vertical_rate`.
+    """
     rate = u[U_TURN] - u[U_FREE] * (EARTH_RATE * ez)
     if u[U_NORTH] != 0.0:
-        _, r_n = radii(ez)
-        rate += u[U_NORTH] * (ez * (ey * vx - ex * vy) / ((ex * ex + ey * ey) * (r_n + h)))
+        rate += u[U_NORTH] * ez * (tx * ex + ty * ey) / (ex * ex + ey * ey)
     return float(rate)
 
 
@@ -168,7 +170,8 @@ def strapdown(x: Vector, inc: Vector, dt: float, u: Vector, mid: Vector) -> None
     ex, ey, ez, h, a_h = x[13], x[14], x[15], x[16], x[17]
     kxx, kxy, kyy = curvature(ex, ey, ez, h)
     north = gravity_north(ez, 1.0, h)
-    tx, ty, tz = -kxy * vx - kyy * vy, kxx * vx + kxy * vy, vertical_rate(u, ex, ey, ez, h, vx, vy)
+    tx, ty = -kxy * vx - kyy * vy, kxx * vx + kxy * vy
+    tz = vertical_rate(u, ex, ey, ez, tx, ty)
     ux = 2.0 * EARTH_RATE * ex + tx + wcx
     uy = 2.0 * EARTH_RATE * ey + ty + wcy
     uz = 2.0 * EARTH_RATE * ez + tz + wcz
@@ -183,7 +186,8 @@ def strapdown(x: Vector, inc: Vector, dt: float, u: Vector, mid: Vector) -> None
     h_mid = h + half * (mz - k1 * miss)
     a_mid = a_h + half * k3 * miss
     kxx, kxy, kyy = curvature(gx, gy, gz, h_mid)
-    tx, ty, tz = -kxy * mx - kyy * my, kxx * mx + kxy * my, vertical_rate(u, gx, gy, gz, h_mid, mx, my)
+    tx, ty = -kxy * mx - kyy * my, kxx * mx + kxy * my
+    tz = vertical_rate(u, gx, gy, gz, tx, ty)
     ix, iy, iz = EARTH_RATE * gx, EARTH_RATE * gy, EARTH_RATE * gz
     north = gravity_north(gz, 1.0, h_mid)
     gravity = normal_gravity(gz, h_mid)
@@ -205,7 +209,8 @@ def strapdown(x: Vector, inc: Vector, dt: float, u: Vector, mid: Vector) -> None
     h_new = h + (0.5 * (vz + nz) - k1 * miss) * dt
     h_mean = 0.5 * (h + h_new)
     kxx, kxy, kyy = curvature(gx, gy, gz, h_mean)
-    tx, ty, tz = -kxy * ax - kyy * ay, kxx * ax + kxy * ay, vertical_rate(u, gx, gy, gz, h_mean, ax, ay)
+    tx, ty = -kxy * ax - kyy * ay, kxx * ax + kxy * ay
+    tz = vertical_rate(u, gx, gy, gz, tx, ty)
     rotate_columns(x, X_C, tx * dt, ty * dt, tz * dt)
     x[4], x[5], x[6], x[16], x[17] = nx, ny, nz, h_new, a_h + k3 * miss * dt
 
