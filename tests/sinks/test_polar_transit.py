@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 from pymavlink.dialects.v20 import common as dialect
 
 from bridge.assemble import make_sinks
+from bridge.cli import main
 from bridge.config import Config
 from bridge.engine import Engine
 from bridge.frame import RawFrame
@@ -207,6 +209,16 @@ def test_every_mavlink_message_over_the_pole(flight: Flight) -> None:
     assert np.abs(origin).max() < 1.0
     r = before["LOCAL_POSITION_NED"][1]
     assert r[0] > 25_000.0
+
+
+def test_the_demonstration_ends_with_its_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["demo", "polar_transit", "--seconds", "30", "--speed", "max", "--no-view", "--mavlink", "none"]
+    assert main([*words, "--out", str(tmp_path / "polar.mcap")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    table = {line.split()[0]: line.split() for line in lines if line.startswith(("horizontal", "heading"))}
+    # nine seconds after take-off began, at 60 m/s
+    assert float(table["horizontal"][3]) < 3.0
+    assert float(table["heading"][3]) < 5.0
 
 
 def _rotated(q: np.ndarray, v: np.ndarray) -> np.ndarray:
