@@ -16,7 +16,8 @@ from typing import Final
 import numpy as np
 
 from bridge.outputs import Checkpoint
-from nav.types import Solution
+from nav.jit import kernel
+from nav.types import Solution, Vector
 
 _SECOND_NS: Final = 1_000_000_000
 _ROW: Final = struct.Struct("<qHI")
@@ -25,9 +26,17 @@ _GENESIS: Final = bytes(32)
 
 def canonical_row(solution: Solution) -> bytes:
     """Bytes that enter the digest for one solution: t_ns int64, mode uint16, flags uint32, state float64."""
-    state = np.array(solution.state, dtype="<f8")
-    state[np.isnan(state)] = np.nan  # a NaN's sign and payload depend on how it came about
+    state = np.array(solution.state, dtype=np.float64)
+    _canonical(state)
     return _ROW.pack(solution.t_ns, solution.mode, solution.flags) + state.tobytes()
+
+
+@kernel
+def _canonical(state: Vector) -> None:
+    """Give every NaN the same bits: its sign and payload depend on how it came about."""
+    for i in range(state.shape[0]):
+        if np.isnan(state[i]):
+            state[i] = np.nan
 
 
 class DigestChain:

@@ -8,9 +8,21 @@ from typing import Final
 
 import numpy as np
 
+from bridge.digest import canonical_row
 from nav.align import ALIGNMENTS, AlignConfig, NavInit
 from nav.navigator import ImuErrors, Navigator, NavigatorConfig
-from nav.types import BaroSample, FixType, GnssFix, ImuSample, OdoSample, Sample, SpeedSample
+from nav.types import (
+    BaroSample,
+    FixType,
+    GnssFix,
+    ImuSample,
+    Mode,
+    OdoSample,
+    S,
+    Sample,
+    Solution,
+    SpeedSample,
+)
 
 _DT_NS: Final = 5_000_000
 _LAT: Final = 0.8
@@ -34,6 +46,7 @@ def warm_up(alignments: frozenset[str] = frozenset(ALIGNMENTS)) -> None:
     navigator.begin(_start())
     for sample in _journey():
         navigator.step(sample)
+    canonical_row(Solution(0, Mode.STANDBY, 0, np.zeros(S.SIZE)))
 
 
 def _config(alignment: str, C_vb: np.ndarray | None, scale: float) -> NavigatorConfig:
