@@ -188,13 +188,29 @@ class SpeedLog:
         return self._scale * self._profile.speed(t_ns) + self._sigma * self._rng.standard_normal(len(t_ns))
 
 
+_T0_K: Final = 288.15
+_LAPSE: Final = 0.0065  # K/m
+_GAS: Final = 287.05287  # J/(kg K)
+_TROPOPAUSE: Final = 11_000.0  # m
+
+
+def isa_temperature(height: Array) -> Array:
+    """Temperature (K) at a geopotential altitude (m) up to 20 km (ICAO Doc 7488/3)."""
+    return np.asarray(_T0_K - _LAPSE * np.minimum(height, _TROPOPAUSE))
+
+
 def isa_pressure(height: Array) -> Array:
-    """Pressure (Pa) at a height (m) of the ICAO standard atmosphere's troposphere (ICAO Doc 7488)."""
-    return np.asarray(101325.0 * (1.0 - 0.0065 * height / 288.15) ** (G0 / (287.05287 * 0.0065)))
+    """Pressure (Pa) at a geopotential altitude (m) up to 20 km (ICAO Doc 7488/3)."""
+    temperature = isa_temperature(height)
+    below = 101325.0 * (temperature / _T0_K) ** (G0 / (_GAS * _LAPSE))
+    return np.asarray(below * np.exp(-G0 / (_GAS * temperature) * np.maximum(height - _TROPOPAUSE, 0.0)))
 
 
 class Barometer:
-    """Static pressure: the standard atmosphere over a datum that differs from the ellipsoid and drifts."""
+    """Static pressure: the standard atmosphere over a datum that differs from the ellipsoid and drifts.
+
+    Height counts as geopotential altitude, which it exceeds by 0.16 m at one kilometre and 16 m at ten.
+    """
 
     def __init__(
         self,
@@ -218,7 +234,7 @@ class Barometer:
         place = (np.arange(len(height)) + 1.0) / len(height)
         apparent = height + self._offset + before + (after - before) * place
         pressure = isa_pressure(apparent + self._noise * self._rng.standard_normal(len(height)))
-        return pressure, 15.0 - 0.0065 * height
+        return pressure, isa_temperature(height) - 273.15
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ from virtual_bus.sensors import (
     SpeedLog,
     generator,
     isa_pressure,
+    isa_temperature,
 )
 
 NONE = Faults([])
@@ -206,10 +207,10 @@ def test_speed_log(ride):
 
 
 def test_pressure_of_the_standard_atmosphere():
-    """ICAO Doc 7488: 0, 1000 and 5000 m."""
-    assert isa_pressure(np.array([0.0, 1000.0, 5000.0])) == pytest.approx(
-        [101325.0, 89874.6, 54019.9], abs=0.1
-    )
+    """ICAO Doc 7488/3: 0, 1000, 5000 m, the tropopause, and the top of the layer above it."""
+    heights = np.array([0.0, 1000.0, 5000.0, 11_000.0, 20_000.0])
+    assert isa_pressure(heights) == pytest.approx([101325.0, 89874.6, 54019.9, 22632.1, 5474.89], abs=0.1)
+    assert isa_temperature(heights) == pytest.approx([288.15, 281.65, 255.65, 216.65, 216.65])
 
 
 def test_barometer_is_off_by_a_datum_that_drifts_slowly(rest):
