@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from bridge.commands import Command, CommandCode
+from bridge.commands import METHODS, Command, CommandCode, Verdict, judge
 from bridge.config import Config
 from bridge.digest import DigestChain
 from bridge.drivers import DRIVERS
@@ -22,7 +22,7 @@ from bridge.drivers.counters import Counters
 from bridge.drivers.device_clock import DeviceClock
 from bridge.frame import BRIDGE, Event, RawFrame
 from bridge.mavlink.peer import MavlinkPeer
-from bridge.navigators import build_navigator, provided
+from bridge.navigators import build_navigator, lacking, provided
 from bridge.options import MavlinkSource
 from bridge.outputs import (
     Checkpoint,
@@ -50,9 +50,6 @@ QUIET_NS: Final = 10 * SECOND_NS
 """A navigator does not say the same again within this."""
 BACKWARDS_NS: Final = SECOND_NS
 """Stamps of different sockets cross by less; a frame further back than this is turned away."""
-
-ACCEPTED: Final = 0  # MAV_RESULT
-UNSUPPORTED: Final = 3
 
 _NOTHING: Final[tuple[Output, ...]] = ()
 _REFUSALS: Final = {"stale": Reject.STALE, "invalid": Reject.INVALID}
@@ -111,6 +108,7 @@ class Engine:
             _Line(name, build_navigator(name, config), DigestChain(name), self._sensors(name, config))
             for name in config.navigators
         ]
+        self._lacking = {name: lacking(name, config) for name in config.navigators}
         self._waiting = [line for line in self._lines if config.navigators[line.name].autostart]
         self._routes: dict[tuple[int, int], tuple[_Route, ...]] = {}
         for name, driver in self._drivers.items():
@@ -127,7 +125,7 @@ class Engine:
         table = tomllib.loads(config.resolved_toml())
         for number, options in enumerate(config.sources.values(), start=1):
             if isinstance(options, MavlinkSource):
-                self.peers[number] = MavlinkPeer(number, options, table)
+                self.peers[number] = MavlinkPeer(number, options, table, self._judge)
             else:
                 keys = {key for source, key in self._routes if source == number}
                 self.accept[number] = frozenset(keys | {self._command_codec.frame_id})
@@ -231,7 +229,19 @@ class Engine:
             case events.ModeChange():
                 out.append(ModeChange(event.t_ns, line.name, event.old, event.new, event.reason))
             case events.AlignmentProgress():
-                out.append(Progress(event.t_ns, line.name, "alignment", event.progress))
+                out.append(
+                    Progress(
+                        event.t_ns,
+                        line.name,
+                        "alignment",
+                        event.progress,
+                        event.sigma,
+                        event.method,
+                        event.limit,
+                        event.behind,
+                        event.restarts,
+                    )
+                )
             case events.Refusal():
                 reason = _REFUSALS.get(event.reason)
                 if reason is not None and event.device in self._drivers:
@@ -266,12 +276,20 @@ class Engine:
 
     # commands
 
-    def _order(self, command: Command, out: list[Output]) -> None:
+    def _judge(self, code: int, argument: int) -> Verdict:
+        return judge(code, argument, self._lacking)
+
+    def _order(self, code: int, argument: int, out: list[Output]) -> Verdict:
+        verdict = self._judge(code, argument)
+        out.extend(Text(self._now, Severity.WARNING, text) for text in verdict.texts)
         for line in self._lines:
-            if command.code in (CommandCode.STOP, CommandCode.RESTART):
+            if line.name not in verdict.methods:
+                continue
+            if code in (CommandCode.STOP, CommandCode.RESTART):
                 self._take_all(line, line.navigator.stop(self._now), out)
-            if command.code in (CommandCode.START_ALIGNMENT, CommandCode.RESTART):
-                self._take_all(line, line.navigator.start(self._now), out)
+            if code in (CommandCode.START_ALIGNMENT, CommandCode.RESTART):
+                self._take_all(line, line.navigator.start(self._now, verdict.methods[line.name]), out)
+        return verdict
 
     def _can_command(self, frame: RawFrame, out: list[Output]) -> None:
         codec = self._command_codec
@@ -279,12 +297,9 @@ class Engine:
             self._unknown += 1
             return
         number, argument = codec.decode(frame.data)
-        result = UNSUPPORTED
-        if number in list(CommandCode):
-            self._order(Command(CommandCode(int(number)), int(argument)), out)
-            result = ACCEPTED
+        verdict = self._order(int(number), int(argument), out)
         ack = self._ack_codec
-        data = ack.encode(self._ack_alive, number, result)
+        data = ack.encode(self._ack_alive, number, verdict.result, verdict.reason)
         self._ack_alive = (self._ack_alive + 1) % ack.alive_modulus
         out.append(Transmit(frame.source, ack.frame_id, data))
 
@@ -293,7 +308,7 @@ class Engine:
             if frame.source in (number, BRIDGE):
                 for answer in peer.feed(frame):
                     if isinstance(answer, Command):
-                        self._order(answer, out)
+                        self._order(answer.code, answer.argument, out)
                     else:
                         out.append(answer)
 
@@ -329,7 +344,7 @@ class Engine:
             case Event.REFUSED:
                 return self._refuse(body)
             case Event.COMMAND:
-                self._order(_command(body), out)
+                self._order(*_command(body), out)
         return None
 
     def _refuse(self, body: dict[str, Any]) -> tuple[Severity, str] | None:
@@ -346,7 +361,8 @@ class Engine:
 
 def _command(body: Mapping[str, Any]) -> Command:
     """A console's request; ValueError or KeyError where there is no such command."""
-    return Command(CommandCode[str(body["command"]).upper()])
+    method = body.get("method")
+    return Command(CommandCode[str(body["command"]).upper()], 0 if method is None else METHODS[str(method)])
 
 
 def build_drivers(config: Config) -> dict[str, Driver]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
@@ -55,12 +56,22 @@ class ModeChange:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far an alignment or a catch-up has come: ``fraction`` 0 to 1, and what it is doing."""
+    """How far an alignment has come: ``fraction`` 0 to 1, and what it is doing.
+
+    ``sigma`` and ``limit`` (3,) rad about east, north, up: what its attitude is good for and could be at
+    best. ``method`` is the alignment's name, ``restarts`` how often it refused and started again; ``behind``:
+    it is going through stored samples.
+    """
 
     t_ns: int
     navigator: str
     stage: str
     fraction: float
+    sigma: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    method: str = ""
+    limit: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    behind: bool = False
+    restarts: int = 0
 
 
 class FixOut(NamedTuple):

@@ -17,7 +17,7 @@ from typing import Any, Final, Protocol
 
 from pymavlink.dialects.v20 import common as dialect
 
-from bridge.commands import Command, CommandCode
+from bridge.commands import CONFIGURED, Command, CommandCode, Reason, Verdict, judge
 from bridge.frame import BRIDGE, Event, RawFrame
 from bridge.mavlink.link import Link
 from bridge.mavlink.parameters import Parameters, flatten
@@ -59,15 +59,27 @@ class Telemetry(Protocol):
         ...
 
 
+def _obey(code: int, argument: int) -> Verdict:
+    return judge(code, CONFIGURED, {})
+
+
 class MavlinkPeer:
     """Feeds on recorded frames of its source and on the bridge's own events.
 
-    ``system_id`` and ``component_id`` are ours. ``unreadable`` counts packets whose checksum or
-    length was wrong, ``utc_minus_engine_ns`` is known from the start event on.
+    ``judge`` says whether a command, its code and argument, can be obeyed; by default it knows the codes
+    alone. ``unreadable`` counts packets whose checksum or length was wrong, ``utc_minus_engine_ns`` is
+    known from the start event on.
     """
 
-    def __init__(self, source: int, options: MavlinkSource, config: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        source: int,
+        options: MavlinkSource,
+        config: Mapping[str, Any] | None = None,
+        judge: Callable[[int, int], Verdict] = _obey,
+    ) -> None:
         self.source = source
+        self._judge = judge
         self.link = Link(source, options.system_id, options.component_id)
         self.telemetry: Telemetry | None = None
         self.unreadable = 0
@@ -147,8 +159,14 @@ class MavlinkPeer:
         return self._command(message, params, False)
 
     def _command(self, message: Any, params: tuple[float, ...], again: bool) -> list[Answer]:
-        """Act and acknowledge; a retransmission (``again``) is acknowledged without acting twice."""
+        """Act and acknowledge; a retransmission (``again``) is acknowledged without acting twice.
+
+        MAV_CMD_USER_1 carries a `Command`: its code and the number of an alignment are the first two
+        parameters. MAV_CMD_PREFLIGHT_CALIBRATION starts the configured alignment, or with all parameters 0
+        stops it.
+        """
         after: list[Answer] = []
+        reason = 0
         numbers = [value if math.isfinite(value) else 0.0 for value in params]
         match message.command:
             case dialect.MAV_CMD_REQUEST_MESSAGE:
@@ -164,25 +182,30 @@ class MavlinkPeer:
             case dialect.MAV_CMD_PREFLIGHT_CALIBRATION:
                 # all zero means: stop calibrating
                 code = CommandCode.START_ALIGNMENT if any(numbers) else CommandCode.STOP
-                result = self._order(Command(code), again, after)
+                result, reason = self._order(code, CONFIGURED, again, after)
             case dialect.MAV_CMD_USER_1:
-                result = dialect.MAV_RESULT_DENIED
-                if numbers[0] in list(CommandCode):
-                    result = self._order(Command(CommandCode(int(numbers[0])), int(numbers[1])), again, after)
+                result, reason = self._order(numbers[0], numbers[1], again, after)
             case _:
                 result = dialect.MAV_RESULT_UNSUPPORTED
         ack = dialect.MAVLink_command_ack_message(
             message.command,
             result,
+            result_param2=reason,
             target_system=message.get_srcSystem(),
             target_component=message.get_srcComponent(),
         )
         return [*self._reply(ack), *after]
 
-    def _order(self, command: Command, again: bool, after: list[Answer]) -> int:
+    def _order(self, code: float, argument: float, again: bool, after: list[Answer]) -> tuple[int, int]:
+        """Result and reason; what is denied for want of something is passed on, so that it is said why."""
+        if code not in list(CommandCode):
+            # not UNSUPPORTED: that would be the MAVLink command itself
+            return int(dialect.MAV_RESULT_DENIED), Reason.UNKNOWN_CODE
+        command = Command(CommandCode(int(code)), int(argument))
+        verdict = self._judge(*command)
         if not again:
             after.append(command)
-        return int(dialect.MAV_RESULT_ACCEPTED)
+        return verdict.result, verdict.reason
 
     def _request_message(self, message_id: int, after: list[Answer]) -> int:
         if message_id == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:

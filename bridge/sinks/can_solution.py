@@ -5,7 +5,8 @@ left out of its epoch. SOL_TIME (mode) and SOL_HEADING (which carries the validi
 there; an unknown heading is sent as 0 with its validity bit clear. A standard deviation that is unknown
 or beyond the signal's range is sent as the largest raw value, "that or more", a smaller one than the signal
 can show as its smallest. Until there is a solution, the two constant frames are sent with every health
-report, so that the mode can be seen on the bus.
+report, so that the mode can be seen on the bus. SOL_ALIGN says how far an alignment is, as often as that
+reports; its estimate is a solution like any other.
 
 In polar waters heading, velocity and, in the transverse frame, position are shown in the frame that the
 configuration chooses (`nav.polar`). Each message whose values depend on the frame says which it is, so that
@@ -20,12 +21,14 @@ from typing import Annotated, Final, Literal
 
 from msgspec import Meta
 
+from bridge.commands import METHODS
 from bridge.options import SinkOptions
 from bridge.outputs import (
     FixOut,
     Health,
     ModeChange,
     Output,
+    Progress,
     Reject,
     SolutionOut,
     Transmit,
@@ -41,6 +44,7 @@ _BRIDGE_TIME, _GPS_TIME = 0, 1
 _LOSS_MODULUS = 8192
 _TOTAL_MODULUS = 1 << 32
 _RECENT_LIMIT = 0xFFFF
+_RESTARTS_LIMIT = 31
 
 # frames of one epoch in sending order; the last one closes the epoch
 EPOCH = (
@@ -101,10 +105,12 @@ class CanSolution:
         messages = context.contract
         self._epoch = [(messages[name], _sigmas(messages[name])) for name in EPOCH]
         self._rejects, self._health = messages["SOL_REJECTS"], messages["SOL_HEALTH"]
+        self._align, self._align_limits = messages["SOL_ALIGN"], _sigmas(messages["SOL_ALIGN"])
         self._slot: int | None = None
         self._alive = 0
         self._alive_rejects = 0
         self._alive_health = 0
+        self._alive_align = 0
         self._gps_minus_engine_ns: int | None = None
         self._mode = Mode.STANDBY
         self._solution_since_health = False
@@ -114,12 +120,15 @@ class CanSolution:
         """Frames due after ``outputs``: of several solutions the last one is sent."""
         latest: SolutionOut | None = None
         health: Health | None = None
+        progress: Progress | None = None
         for output in outputs:
             match output:
                 case SolutionOut() if output.navigator == self._navigator:
                     latest = output
                 case ModeChange() if output.navigator == self._navigator:
                     self._mode = output.new
+                case Progress() if output.navigator == self._navigator:
+                    progress = output
                 case FixOut() if output.fix.gps_ns is not None:
                     self._gps_minus_engine_ns = output.fix.gps_ns - output.fix.t_ns
                 case Health():
@@ -131,6 +140,8 @@ class CanSolution:
                 self._slot = slot
                 self._solution_since_health = True
                 sent += self._send_epoch(latest.solution)
+        if progress is not None:
+            sent.append(self._send_progress(progress))
         if health is not None:
             if not self._solution_since_health:
                 sent += self._send_status(health.t_ns)
@@ -178,6 +189,20 @@ class CanSolution:
         # whole raw steps of 50 us, so that rounding cannot reach the end of the week
         week, in_week = divmod(t_ns // 50_000 * 50_000, _WEEK_NS)
         return int(mode), base, week % 4096, in_week // 1000
+
+    def _send_progress(self, progress: Progress) -> Transmit:
+        east, north, up = (math.degrees(limit) for limit in progress.limit)
+        values = (
+            METHODS.get(progress.method, 0),
+            int(progress.behind),
+            100.0 * min(max(progress.fraction, 0.0), 1.0),
+            min(progress.restarts, _RESTARTS_LIMIT),
+            max(east, north),
+            up,
+        )
+        sent = self._transmit(self._align, self._alive_align, _saturated(values, self._align_limits))
+        self._alive_align = (self._alive_align + 1) % 15
+        return sent
 
     def _send_health(self, health: Health) -> list[Transmit]:
         totals: dict[Reject, int] = dict.fromkeys(Reject, 0)
@@ -254,7 +279,7 @@ def _sigmas(codec: MessageCodec) -> tuple[tuple[int, float, float], ...]:
     return tuple(
         (place, float(signal.factor), float(signal.maximum))
         for place, signal in enumerate(codec.info)
-        if signal.name.startswith("SIGMA_")
+        if signal.name.startswith(("SIGMA_", "LIMIT_"))
     )
 
 

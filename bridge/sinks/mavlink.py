@@ -84,13 +84,14 @@ class MavlinkTelemetry:
         self._next_ns = dict.fromkeys(self._period_ns, 0)
         self._soonest_ns = 0
         self._stage = ""
+        self._progress_second = -1
         self._text_id = 0
         self._text_second = 0
         self._texts = 0
         self._held_back = 0
 
     def consume(self, outputs: Sequence[Output]) -> list[Transmit]:
-        """Texts at once, then every message whose time has come."""
+        """Texts and an alignment's progress at once, then every message whose time has come."""
         picture = self._picture
         sent: list[Transmit] = []
         for output in outputs:
@@ -102,14 +103,26 @@ class MavlinkTelemetry:
                 case ModeChange() if output.navigator == picture.navigator:
                     severity = _SEVERITIES.get(output.new, Severity.NOTICE)
                     sent += self._text(severity, f"{output.new.name}: {output.reason}")
-                case Progress() if output.navigator == picture.navigator and output.stage != self._stage:
-                    self._stage = output.stage
-                    sent += self._text(Severity.INFO, f"{output.stage} {100.0 * output.fraction:.0f} %")
+                case Progress() if output.navigator == picture.navigator:
+                    sent += self._progress(output)
                 case Text():
                     sent += self._text(output.severity, output.text)
         if outputs and picture.now_ns >= self._soonest_ns:
             sent += self._due(picture.now_ns)
         return sent + self._peer.drain()
+
+    def _progress(self, progress: Progress) -> list[Transmit]:
+        """Once a second what an alignment says of itself, and a text when another one begins."""
+        second = progress.t_ns // _SECOND_NS
+        if second == self._progress_second:
+            return []
+        self._progress_second = second
+        sent = []
+        stage = f"{progress.stage} {progress.method}".strip()
+        if stage != self._stage:
+            self._stage = stage
+            sent += self._text(Severity.INFO, f"{stage} {100.0 * progress.fraction:.0f} %")
+        return sent + [self._link.send(message) for message in telemetry.alignment(progress)]
 
     def _due(self, now_ns: int) -> list[Transmit]:
         sent = []

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Final, TextIO
 
 from bridge.clock import Clock, WallClock
-from bridge.commands import CommandCode
+from bridge.commands import METHODS, CommandCode
 from bridge.frame import BRIDGE, Event
 from bridge.outputs import Transmit
 from bridge.sources.base import Notice, Received, SourceContext
@@ -24,7 +24,7 @@ _READ_BYTES: Final = 4096
 
 
 class Console:
-    """A source without frames: its notices are COMMAND events.
+    """A source without frames: its notices are COMMAND events. ``start`` and ``restart`` take an alignment.
 
     Only a terminal is read, and only while we are its foreground: what comes out of a file or a pipe was
     meant for somebody else, and a read in the background would stop the process. Words that are no command
@@ -98,13 +98,25 @@ class Console:
         except OSError:  # the terminal is gone, or not that of our session
             return False
 
-    def _take(self, word: str) -> None:
-        if word in WORDS:
-            self._counts["commands"] += 1
-            now_ns = self.context.clock.monotonic_ns()
-            self._notices.append(Notice(now_ns, Event.COMMAND, {"command": WORDS[word].name.lower()}))
-        elif word:
-            print(f'"{word}" is no command; expected one of {self.filters()}', file=self._answers, flush=True)
+    def _take(self, line: str) -> None:
+        word, _, method = line.partition(" ")
+        method = method.strip()
+        if word not in WORDS:
+            if word:
+                self._answer(f'"{word}" is no command; expected one of {self.filters()}')
+            return
+        body: dict[str, int | str] = {"command": WORDS[word].name.lower()}
+        if method:
+            if method not in METHODS or word == "stop":
+                expected = f"nothing or one of {', '.join(METHODS)}" if word != "stop" else "nothing"
+                self._answer(f'"{method}" after {word}; expected {expected}')
+                return
+            body["method"] = method
+        self._counts["commands"] += 1
+        self._notices.append(Notice(self.context.clock.monotonic_ns(), Event.COMMAND, body))
+
+    def _answer(self, text: str) -> None:
+        print(text, file=self._answers, flush=True)
 
 
 @contextmanager

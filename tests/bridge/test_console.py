@@ -73,6 +73,21 @@ def test_words_become_commands(terminal: Terminal) -> None:
     assert terminal.console.notices() == []
 
 
+def test_an_alignment_may_be_named(terminal: Terminal) -> None:
+    os.write(terminal.keys, b"start  gyrocompass\n")
+    terminal.console.poll(FOREVER)
+    (notice,) = terminal.console.notices()
+    assert notice.body == {"command": "start_alignment", "method": "gyrocompass"}
+
+
+@pytest.mark.parametrize(
+    ("typed", "says"), [(b"start north\n", "one of static, motion"), (b"stop static\n", "expected nothing\n")]
+)
+def test_an_alignment_that_is_none_is_answered(terminal: Terminal, typed: bytes, says: str) -> None:
+    assert terminal.type(typed) == []
+    assert says in terminal.answers.getvalue()
+
+
 def test_other_words_are_answered_and_are_no_commands(terminal: Terminal) -> None:
     assert terminal.type(b"alighn\n\n") == []
     assert terminal.answers.getvalue() == '"alighn" is no command; expected one of start, stop, restart\n'

@@ -149,6 +149,7 @@ def test_the_contract_of_identifiers() -> None:
         "SOL_TIME": 0x200, "SOL_LEVEL": 0x201, "SOL_HEADING": 0x202, "SOL_VEL_H": 0x203, "SOL_VEL_U": 0x204,
         "SOL_LAT": 0x205, "SOL_LON": 0x206, "SOL_HEIGHT": 0x207, "SOL_RATE": 0x208, "SOL_FORCE": 0x209,
         "SOL_SIGMA_ATT": 0x20A, "SOL_SIGMA_VEL": 0x20B, "SOL_REJECTS": 0x20C, "SOL_HEALTH": 0x20D,
+        "SOL_ALIGN": 0x20E,
     }  # fmt: skip
     assert {name: codec.frame_id for name, codec in c.items()} == expected
     assert len(c) == len(expected)

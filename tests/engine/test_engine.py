@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as dialect
 
-from bridge.commands import CommandCode
+from bridge.commands import METHODS, CommandCode, Reason, Result
 from bridge.config import ATTACHMENT, Config
 from bridge.digest import DigestChain
 from bridge.engine import Engine
@@ -22,6 +22,7 @@ from bridge.outputs import (
     Health,
     ModeChange,
     Output,
+    Progress,
     Reject,
     Severity,
     SolutionOut,
@@ -29,6 +30,7 @@ from bridge.outputs import (
     Transmit,
 )
 from dbc.codec import contract
+from nav.align import ALIGNMENTS
 from nav.types import GnssFix, Mode
 from tests.engine.made import START_NS, bench_config, bench_frames, event, fed
 from virtual_bus.bus import Bench
@@ -199,9 +201,9 @@ def test_crossed_stamps_of_two_sockets_are_nothing_special() -> None:
 # commands
 
 
-def command(code: int, alive: int = 0, rx_ns: int = START_NS) -> RawFrame:
+def command(code: int, alive: int = 0, rx_ns: int = START_NS, argument: int = 0) -> RawFrame:
     codec = contract()["COMMAND"]
-    return RawFrame(0, rx_ns, 1, codec.frame_id, codec.encode(alive, code, 0))
+    return RawFrame(0, rx_ns, 1, codec.frame_id, codec.encode(alive, code, argument))
 
 
 def acknowledged(outputs: list[Output]) -> list[tuple[float, ...]]:
@@ -221,10 +223,54 @@ def test_commands_on_can() -> None:
         (Mode.ALIGN, Mode.STANDBY),
         (Mode.STANDBY, Mode.ALIGN),
     ]
-    assert acknowledged(outputs) == [(2, 0), (1, 0)]
-    assert acknowledged(fed(engine, [command(77, 2, now)])) == [(77, 3)]
+    assert acknowledged(outputs) == [(2, 0, 0), (1, 0, 0)]
+    assert acknowledged(fed(engine, [command(77, 2, now)])) == [(77, 3, Reason.UNKNOWN_CODE)]
     bad = command(CommandCode.STOP, 3, now)
     assert fed(engine, [bad._replace(data=bad.data[:-1] + b"\x99"), bad._replace(data=b"")]) == []
+
+
+def methods(outputs: list[Output]) -> set[str]:
+    return {progress.method for progress in of(Progress, outputs)}
+
+
+def test_a_command_picks_the_alignment() -> None:
+    engine = Engine(bench_config())
+    frames = bench_frames()[1]
+    assert methods(fed(engine, frames[:2000])) == {"static"}
+    now = frames[1999].rx_ns
+    start, restart, stop = CommandCode.START_ALIGNMENT, CommandCode.RESTART, CommandCode.STOP
+    outputs = fed(engine, [command(start, 0, now, METHODS["motion"])])
+    assert acknowledged(outputs) == [(start, 0, 0)]
+    assert methods(fed(engine, frames[2000:4000])) == {"motion"}
+    # aborted, and again as configured
+    now = frames[3999].rx_ns
+    outputs = fed(engine, [command(stop, 1, now), command(restart, 2, now)])
+    assert of(ModeChange, outputs)[-1].new is Mode.ALIGN
+    assert methods(fed(engine, frames[4000:6000])) == {"static"}
+
+
+@pytest.mark.parametrize("number", [63, -1, METHODS["motion"], METHODS["stored"]])
+def test_an_alignment_that_cannot_be_is_refused_with_a_reason(number: int) -> None:
+    files = dict(bench_frames()[0])
+    text = files[ATTACHMENT].decode().replace(', "gnss"]', "]")
+    table = "[navigator.main.align]\n"
+    files[ATTACHMENT] = text.replace(table, f"{table}position_deg_m = [47.0, 8.0, 400.0]\n").encode()
+    engine = Engine(Config.from_files(files))
+    frames = bench_frames()[1]
+    fed(engine, frames[:1000])
+    outputs = fed(engine, [command(CommandCode.RESTART, 0, frames[999].rx_ns, number)])
+    reason, says = {
+        METHODS["motion"]: (Reason.NO_GNSS, "main: alignment motion refused: it needs a GNSS receiver"),
+        METHODS["stored"]: (Reason.NO_HEADING, "main: alignment stored refused: it needs a stored heading"),
+    }.get(number, (Reason.UNKNOWN_METHOD, f"there is no alignment number {number}"))
+    if number == METHODS["stored"] and "stored" not in ALIGNMENTS:
+        reason, says = Reason.UNKNOWN_METHOD, f"there is no alignment number {number}"
+    assert acknowledged(outputs) == [(CommandCode.RESTART, Result.DENIED, reason)]
+    (text,) = of(Text, outputs)
+    assert says in text.text
+    # what ran goes on
+    assert of(ModeChange, outputs) == []
+    assert methods(fed(engine, frames[1000:2000])) == {"static"}
 
 
 def test_commands_from_the_console() -> None:
@@ -233,6 +279,8 @@ def test_commands_from_the_console() -> None:
     assert of(ModeChange, outputs)[-1].new is Mode.STANDBY
     outputs = fed(engine, [event(Event.COMMAND, START_NS, command="restart")])
     assert of(ModeChange, outputs)[-1].new is Mode.ALIGN
+    fed(engine, [event(Event.COMMAND, START_NS, command="start_alignment", method="motion")])
+    assert methods(fed(engine, bench_frames()[1][:2000])) == {"motion"}
 
 
 def test_without_autostart_it_waits_for_a_command() -> None:
@@ -261,6 +309,22 @@ def test_commands_over_mavlink() -> None:
     assert of(ModeChange, outputs)[-1].new is Mode.STANDBY
     (ack,) = of(Transmit, outputs)
     assert (ack.source, ack.key) == (2, dialect.MAVLINK_MSG_ID_COMMAND_ACK)
+
+
+def test_a_method_over_mavlink_is_refused_with_a_reason() -> None:
+    engine = Engine(Config.load("bench"))
+    message = dialect.MAVLink_command_long_message(
+        1, 1, dialect.MAV_CMD_USER_1, 0, float(CommandCode.START_ALIGNMENT), 63.0, 0, 0, 0, 0, 0
+    )
+    data = bytes(message.pack(dialect.MAVLink(None, srcSystem=255, srcComponent=190)))
+    outputs = fed(
+        engine,
+        [event(Event.TICK, START_NS), RawFrame(0, START_NS, 2, dialect.MAVLINK_MSG_ID_COMMAND_LONG, data)],
+    )
+    (packet,) = of(Transmit, outputs)
+    ack = dialect.MAVLink(None).decode(bytearray(packet.data))
+    assert (ack.result, ack.result_param2) == (dialect.MAV_RESULT_DENIED, Reason.UNKNOWN_METHOD)
+    assert [text.text for text in of(Text, outputs)] == ["command refused: there is no alignment number 63"]
 
 
 def test_who_listens_to_what() -> None:

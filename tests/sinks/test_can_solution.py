@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.outputs import DeviceHealth, FixOut, Health, ModeChange, Output, Reject, Transmit
+from bridge.outputs import DeviceHealth, FixOut, Health, ModeChange, Output, Progress, Reject, Transmit
 from bridge.sinks import SINKS, SinkContext
 from bridge.sinks.can_solution import EPOCH, CanSolution, CanSolutionOptions
 from dbc.codec import contract
@@ -170,6 +170,24 @@ def test_rejects_and_losses_once_a_second() -> None:
     assert set(rejects) == set(Reject)
     assert rejects[Reject.CRC] == (5, 1)
     assert rejects[Reject.UNKNOWN] == (10, 7)
+
+
+def test_an_alignment_says_how_far_it_is_and_what_it_cannot_beat() -> None:
+    made = sink()
+    sigma, limit = (1e-3, 2e-3, 0.1), (math.radians(0.01), math.radians(0.02), math.radians(3.0))
+    progress = Progress(7, "main", "alignment", 0.256, sigma, "gyrocompass", limit, True, 2)
+    frame = read(made.consume([progress]))["SOL_ALIGN"]
+    names = DBC.get_message_by_name("SOL_ALIGN").get_signal_by_name("METHOD").choices
+    assert names[frame["METHOD"]] == "gyrocompass"
+    assert (frame["ALIVE"], frame["BEHIND"], frame["REFUSALS"]) == (0, 1, 2)
+    assert frame["PROGRESS"] == pytest.approx(25.6)
+    assert frame["LIMIT_LEVEL"] == pytest.approx(0.02, abs=5.1e-5)
+    assert frame["LIMIT_HEADING"] == pytest.approx(3.0, abs=5.1e-4)
+    # what is not known or does not fit is "that or more"
+    frame = read(made.consume([Progress(7, "main", "alignment", 1.5, restarts=99)]))["SOL_ALIGN"]
+    assert (frame["METHOD"], frame["PROGRESS"], frame["REFUSALS"]) == (0, 100.0, 31)
+    assert (frame["LIMIT_LEVEL"], frame["LIMIT_HEADING"]) == (pytest.approx(1.6383), 65.535)
+    assert made.consume([Progress(7, "other", "alignment", 0.5)]) == []
 
 
 def test_identifiers_shift_and_other_navigators_are_left_alone() -> None:

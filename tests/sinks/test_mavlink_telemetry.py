@@ -24,6 +24,7 @@ from bridge.outputs import (
     Innovation,
     ModeChange,
     Output,
+    Progress,
     Reject,
     Severity,
     Text,
@@ -218,6 +219,21 @@ def test_while_nothing_is_known_only_the_system_speaks() -> None:
     assert messages["HEARTBEAT"].system_status == dialect.MAV_STATE_CALIBRATING
     assert set(messages) == {"HEARTBEAT", "SYS_STATUS", "SYSTEM_TIME", "ESTIMATOR_STATUS", "STATUSTEXT"}
     assert messages["STATUSTEXT"].text == "ALIGN: started"
+
+
+def test_an_alignment_is_told_once_a_second() -> None:
+    made, station = telemetry(HEARTBEAT=0.0, SYSTEM_TIME=0.0, SYS_STATUS=0.0), GroundStation()
+    sigma, limit = (1e-3, 2e-3, math.nan), (1e-4, 1e-4, math.radians(0.5))
+    told = [
+        station.read(made.consume([Progress(t, "main", "alignment", 0.25, sigma, "static", limit)]))
+        for t in range(0, 2_000_000_000, 100_000_000)
+    ]
+    (first, second) = (messages for messages in told if messages)
+    assert first[0].text == "alignment static 25 %"
+    values = {message.name: message.value for message in first[1:]}
+    # a sigma that is not known is not told
+    assert values == pytest.approx({"AlignPct": 25.0, "AlignSigL": math.degrees(2e-3), "AlignLimH": 0.5})
+    assert len(second) == 3
 
 
 def test_long_texts_come_in_chunks() -> None:
