@@ -319,6 +319,8 @@ def _key(message: can.Message) -> int:
 
 
 def _message(key: int, data: bytes) -> can.Message:
+    if key < 0x800 and len(data) <= 8:  # nearly all: every further keyword costs time
+        return can.Message(arbitration_id=key, is_extended_id=False, data=data)
     return can.Message(
         arbitration_id=key & 0x1FFF_FFFF,
         is_extended_id=bool(key & CAN_EFF),
