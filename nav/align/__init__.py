@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from nav.align.compass import ONCE, RAPID
 from nav.align.level import LEVEL
 from nav.align.match import MATCH
 from nav.align.static import COARSE, FINE
@@ -25,6 +26,8 @@ from nav.align.types import (
 ALIGNMENTS: Final[dict[str, Alignment]] = {
     "static": Alignment(needs=frozenset(), stages=(COARSE, FINE)),
     "motion": Alignment(needs=frozenset({"gnss"}), stages=(LEVEL, MATCH)),
+    "gyrocompass": Alignment(needs=frozenset(), stages=(ONCE,)),
+    "rapid_gyrocompass": Alignment(needs=frozenset(), stages=(RAPID,)),
 }
 
 __all__ = [

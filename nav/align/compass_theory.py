@@ -1,4 +1,4 @@
-"""The gyrocompass loops on paper: gains, poles, what constant and drifting sensors leave, and the error model.
+"""The gyrocompass loops on paper: gains, poles, the error model, what constant and drifting sensors leave.
 
 Yan Gongmin 2008, section 2.3. Errors are those of `nav.align.types`: true C_gb = (I + [phi x]) computed; the
 sensors' errors are output minus truth, and a strapdown gyro's turns the computed attitude with the opposite
@@ -151,7 +151,7 @@ def steady(F: Matrix, G: Matrix, e: ArrayLike, azimuth: bool = True) -> Vector:
 
 
 def following(F: Matrix, G: Matrix, slope: ArrayLike, azimuth: bool = True) -> tuple[Vector, Vector]:
-    """What inputs that grow as ``slope`` (8,) times t end in: the state is the first (8,) plus t the second."""
+    """Under inputs ``slope`` (8,) times t the state ends as the first (8,) returned plus t the second."""
     rate = steady(F, G, slope, azimuth)
     used = states_of(azimuth)
     x = np.zeros(STATES)
@@ -186,5 +186,5 @@ def ramp_errors(
 
 
 def speed_error(at: Place, v_n: float) -> float:
-    """phi_U (rad) that an error ``v_n`` (m/s, reference minus true) of the north velocity makes: eq. (2-47)."""
-    return v_n * at.along_north / at.north
+    """phi_U (rad) that an error ``v_n`` (m/s) of the reference velocity's north part makes: eq. (2-47)."""
+    return -v_n * at.along_north / at.north

@@ -1,0 +1,281 @@
+"""An alignment by gyrocompass loops under way: its plan of passes over stored samples, and what it carries.
+
+A plan is a list of legs. Legs ahead that end later than the last sample wait for more; legs over what is
+stored are gone through a bounded number of samples at a time. At rest and on the move differ in
+the velocity that the loops are told, and in what watches over them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from nav.align.compass_ledger import Ledger
+from nav.align.compass_loop import L_P, L_SIZE, head, lead, set_free, set_gains
+from nav.align.compass_theory import (
+    P_E,
+    PHI,
+    V_E,
+    V_N,
+    AzimuthGains,
+    LevelGains,
+    Place,
+    azimuth_gains,
+    decay,
+    level_gains,
+    place,
+)
+from nav.align.level import level_dcm
+from nav.align.still import Still
+from nav.align.store import Piece, Store
+from nav.align.stuck import Stuck
+from nav.align.types import AlignConfig, AlignStatus
+from nav.earth import position_angles
+from nav.rotation import quat_from_dcm, quat_from_rotvec, quat_multiply, quat_rotate
+from nav.strapdown.kernels import X_C, X_Q, X_V
+from nav.types import Vector
+
+LEVEL: Final = "level"
+AZIMUTH: Final = "azimuth"
+COMPASS: Final = "compass"
+PRESENT: Final = math.inf
+
+BATCH: Final = 50  # samples that wait for each other while they come in
+FIRST_S: Final = 1.0  # of which the mean specific force is the first vertical
+FEELS: Final = (0.4, 1.8)  # of Earth's north rate that a coarse azimuth may have felt
+
+
+class Leg(NamedTuple):
+    """A pass or part of one: ``until`` s since the beginning, with a damped ``period`` (s).
+
+    The period of a compass leg grows from ``period`` by ``growth`` for every second in it.
+    """
+
+    kind: str
+    ahead: bool
+    until: float
+    period: float
+    growth: float = 0.0
+
+
+def opening(coarse_s: float) -> tuple[Leg, ...]:
+    """Level, coarse azimuth, level again, in ``coarse_s`` seconds."""
+    period = 0.3 * coarse_s
+    return (
+        Leg(LEVEL, True, 0.35 * coarse_s, period),
+        Leg(AZIMUTH, True, 0.75 * coarse_s, period),
+        Leg(LEVEL, True, coarse_s, period),
+    )
+
+
+@dataclass(slots=True, eq=False)
+class Course:
+    """Where an alignment is in its plan, and all that it carries."""
+
+    config: AlignConfig
+    plan: tuple[Leg, ...]
+    store: Store
+    still: Still = field(default_factory=Still)
+    stuck: Stuck = field(default_factory=Stuck)
+    origin: tuple[float, float, float] | None = None
+    earth: Place | None = None
+    t0_ns: int | None = None
+    leg: int = 0
+    at: int = 0  # number of the next sample ahead; on the way back, of the one after it
+    seconds: float = 0.0  # in this leg
+    x: Vector = field(default_factory=lambda: np.zeros(0))
+    law: Vector = field(default_factory=lambda: np.zeros(L_SIZE))
+    free: Vector = field(default_factory=lambda: np.zeros(0))
+    free_law: Vector = field(default_factory=lambda: np.zeros(L_SIZE))
+    ledger: Ledger | None = None
+    before: Vector | None = None  # attitude at the end of the last pass ahead
+    status: AlignStatus | None = None
+
+
+# ---- going through the data --------------------------------------------------------------------
+
+
+def gains(leg: Leg, earth: Place, seconds: float) -> tuple[LevelGains, AzimuthGains | None]:
+    """Gains of a leg ``seconds`` after its start."""
+    sign = 1.0 if leg.ahead else -1.0
+    if leg.kind != COMPASS:
+        return level_gains(sign * decay(leg.period), earth.gravity), None
+    sigma = decay(leg.period + leg.growth * seconds)
+    # the level loops are faster than the azimuth loop
+    level = max(sigma, decay(min(leg.period, 20.0)))
+    return level_gains(sign * level, earth.gravity), azimuth_gains(sign * sigma, earth.gravity)
+
+
+def place_course(course: Course, origin: tuple[float, float, float]) -> None:
+    """Say where it is."""
+    course.origin = origin
+    course.earth = place(origin[0], origin[2])
+
+
+def first_state(course: Course, velocity: Vector) -> None:
+    """Begin with the vertical of the first second and heading zero; ``velocity`` (3,) m/s in b."""
+    assert course.origin is not None
+    piece = course.store.imu.ahead(0, course.store.imu.number(first_ns(course) + round(FIRST_S * 1e9)))
+    q = quat_from_dcm(level_dcm(piece.rows[:, 3:6].sum(axis=0)))
+    course.x = head(q, quat_rotate(q, velocity), *course.origin)
+
+
+def first_ns(course: Course) -> int:
+    """When the first sample began."""
+    assert course.t0_ns is not None
+    return course.t0_ns
+
+
+def bound(course: Course, leg: Leg) -> tuple[int, bool]:
+    """Number of the first sample that a leg ahead does not take, and whether that sample is not there yet."""
+    imu = course.store.imu
+    if leg.until == PRESENT:
+        return imu.count, False
+    end_ns = first_ns(course) + round(leg.until * 1e9) + 1_000_000
+    if imu.last_ns < end_ns - 2_000_000:
+        return imu.count, True
+    return imu.number(end_ns), False
+
+
+def next_piece(course: Course, most: int, limit: int) -> Piece | None:
+    """The next samples of the leg, at most ``most`` and none from number ``limit`` on; None: it must wait."""
+    leg, imu = course.plan[course.leg], course.store.imu
+    if not leg.ahead:
+        return imu.back(course.at, most)
+    end, more = bound(course, leg)
+    end = min(end, limit)
+    if more and end - course.at < BATCH:
+        return None
+    return imu.ahead(course.at, min(most, end - course.at))
+
+
+def is_over(course: Course) -> bool:
+    """Whether the leg has come to its end."""
+    leg = course.plan[course.leg]
+    if not leg.ahead:
+        return course.at == 0
+    end, more = bound(course, leg)
+    return not more and course.at == end
+
+
+def go(course: Course, piece: Piece, velocity: Vector) -> None:
+    """Lead the loops through a piece; ``velocity`` (k, 3) m/s in b is what the vehicle does."""
+    leg, earth = course.plan[course.leg], course.earth
+    assert earth is not None
+    level, azimuth = gains(leg, earth, course.seconds)
+    set_gains(course.law, earth, level, azimuth)
+    lead(course.x, course.law, piece.rows, piece.dt, velocity, leg.ahead)
+    seconds = float(piece.dt.sum())
+    if leg.kind == AZIMUTH:
+        if course.seconds == 0.0:
+            course.free = course.x.copy()
+            # what the loop had not levelled yet would grow with the square of time: begin from a smooth start
+        set_free(course.free_law, decay(leg.period))
+        lead(course.free, course.free_law, piece.rows, piece.dt, velocity, leg.ahead)
+    if course.ledger is not None:
+        begin = (int(piece.t_ns[0]) - first_ns(course)) * 1e-9 - float(piece.dt[0])
+        course.ledger.advance(level, azimuth, begin, seconds, leg.ahead)
+    course.seconds += seconds
+    course.at += len(piece.dt) if leg.ahead else -len(piece.dt)
+
+
+def end_leg(course: Course) -> str | None:
+    """Draw the conclusion of a leg; what speaks against it, or None."""
+    leg, earth = course.plan[course.leg], course.earth
+    assert earth is not None
+    reason = None
+    if leg.kind == AZIMUTH:
+        reason = turn_to_north(course)
+    if leg.kind == COMPASS and leg.ahead and course.leg + 1 < len(course.plan):
+        course.before = course.x[X_Q : X_Q + 4].copy()
+    course.leg += 1
+    course.seconds = 0.0
+    if course.leg < len(course.plan):
+        if course.ledger is not None:
+            course.ledger.turn()
+        if course.plan[course.leg].kind == COMPASS and leg.kind != COMPASS:
+            course.ledger = open_ledger(course)
+    return reason
+
+
+def turn_to_north(course: Course) -> str | None:
+    """Coarse azimuth, eqs. (2-26) and (2-27), on the move (2-45) and (2-46); or why there is none.
+
+    The velocity of the platform that was let go, less that of the one that was kept level, has grown with
+    the square of time.
+    """
+    earth = course.earth
+    assert earth is not None
+    grown = course.free[X_V : X_V + 2] - course.x[X_V : X_V + 2]
+    unit = 0.5 * earth.gravity * earth.north * course.seconds**2
+    cosine, sine = 1.0 + grown[0] / unit, -grown[1] / unit
+    felt = math.hypot(cosine, sine)
+    if not FEELS[0] < felt < FEELS[1]:
+        return (
+            f"levelled axes felt {felt:.2f} of Earth's north rate: "
+            "the vehicle turns or is shaken, or calibration or latitude are wrong"
+        )
+    turn = quat_from_rotvec([0.0, 0.0, math.atan2(sine, cosine)])
+    course.x[X_Q : X_Q + 4] = quat_multiply(turn, course.x[X_Q : X_Q + 4])
+    course.x[X_V : X_V + 3] = quat_rotate(turn, course.x[X_V : X_V + 3])
+    # the integrators hold the level part of Earth's rate, which is in the kernel from now on
+    course.law[L_P] = 0.0
+    return None
+
+
+def coarse_sigma(config: AlignConfig, earth: Place, leg: Leg, seconds: float) -> float:
+    """Standard deviation (rad) of heading after the coarse azimuth, without the constant errors' part."""
+    level = level_gains(decay(leg.period), earth.gravity)
+    tilt = level.k2 * config.sway + math.sqrt(decay(leg.period)) * config.velocity_random_walk / earth.gravity
+    walk = config.angle_random_walk * math.sqrt(seconds) / (earth.north * seconds)
+    grown = 4.0 * config.sway / (earth.gravity * earth.north * seconds**2)
+    return math.hypot(2.0 * tilt / (earth.north * seconds), walk, grown, 0.01)
+
+
+def open_ledger(course: Course) -> Ledger:
+    """What is known where the azimuth loop is closed."""
+    config, earth = course.config, course.earth
+    assert earth is not None
+    coarse = next(leg for leg in course.plan if leg.kind == AZIMUTH)
+    heading = coarse_sigma(config, earth, coarse, 0.4 / 0.3 * coarse.period)
+    tilt = level_gains(decay(coarse.period), earth.gravity).k2 * config.sway
+    start = np.zeros(8)
+    start[[V_E, V_N]] = config.sway + config.velocity_random_walk
+    start[PHI] = tilt + 1e-5, tilt + 1e-5, heading
+    start[P_E] = 0.1 * earth.north * heading
+    known = np.zeros((8, 8))
+    known[2, 4], known[3, 3] = -1.0 / earth.gravity, 1.0 / earth.gravity
+    known[4, 0] = -1.0 / earth.north
+    known[4, 3] = earth.up / earth.north / earth.gravity
+    known[P_E, 1] = 1.0
+    return Ledger(earth, np.diag(start**2), known)
+
+
+# ---- what it says ------------------------------------------------------------------------------
+
+
+def attitude(course: Course) -> Vector:
+    """q_gb (4,) of the loops' state."""
+    _, _, wander = position_angles(course.x[X_C : X_C + 9].reshape(3, 3))
+    return quat_multiply(quat_from_rotvec([0.0, 0.0, wander]), course.x[X_Q : X_Q + 4])
+
+
+def phi_covariance(course: Course) -> Vector:
+    """Covariance (3, 3) of phi, rad^2."""
+    if course.ledger is None:
+        config, earth = course.config, course.earth
+        level = 0.05 if course.leg == 0 or earth is None else config.accel_bias / earth.gravity + 1e-3
+        return np.diag([level**2, level**2, math.pi**2])
+    return course.ledger.covariance(course.config)[PHI, PHI]
+
+
+def progress(course: Course) -> float:
+    """From 0 to 1, by legs."""
+    if course.leg >= len(course.plan):
+        return 1.0
+    leg, before = course.plan[course.leg], course.plan[course.leg - 1].until if course.leg else 0.0
+    span = abs(leg.until - before) if leg.until != PRESENT else course.config.coarse_s + course.config.fine_s
+    return (course.leg + min(1.0, course.seconds / max(span, 1e-3))) / len(course.plan)
