@@ -5,7 +5,7 @@ process and take turns: the bench sends what is due, most often one frame; the b
 it receives, records and navigates, and where that frame completed a solution it sends it, twelve frames as a
 rule. The time is that until the last of them is on the bus, by its stamp. Then a bare loop receives as many
 frames from a bus of its own and sends as many frames of the same content, which it has to make of identifiers
-and bytes as any program must. Time is simulated, so nothing waits; the bridge records to disk as it does live.
+and bytes as any program must. Time is simulated, so nothing waits; the bridge records to disk.
 """
 
 from __future__ import annotations
