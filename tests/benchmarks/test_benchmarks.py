@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.benchmarks import kernels, latency, replay
+import numpy as np
+import pytest
+
+from tests.benchmarks import kernels, latency, replay, strapdown
 
 
 def test_the_kernels_beat_their_readable_twin() -> None:
@@ -27,3 +30,22 @@ def test_a_replay_is_timed(tmp_path: Path) -> None:
     assert report.agrees
     assert busy > 0.0
     assert report.seconds > 4.0
+
+
+@pytest.mark.parametrize("n", range(1, 7))
+def test_the_update_in_c_is_the_kernels(tmp_path: Path, n: int) -> None:
+    if strapdown.compiler() is None:
+        pytest.skip("no C compiler here: neither CC is set nor is there a cc")
+    samples = strapdown.drive(600)
+    a, b = strapdown.start(), strapdown.start()
+    strapdown.compiled(tmp_path)(a, samples, n)
+    strapdown.run_kernel(b, samples, n)
+    # the same operations in the same order; sums of products may be grouped differently by a compiler
+    np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+def test_the_update_is_timed_beside_its_twins() -> None:
+    found = strapdown.measure(rounds=3, updates=200, sizes=(1, 2))
+    assert set(found) == {1, 2}
+    for kernel, _, readable in found.values():
+        assert readable > 5.0 * kernel
