@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from nav.earth import convergence, ecef
 from nav.types import BaroSample, GnssFix, ImuSample, OdoSample, Sample, SpeedSample, Vector
 
 G: Final = 9.80665
@@ -25,6 +26,7 @@ _WINDOW_S: Final = 1.0
 _REST_RATE: Final = 3.0 * _DEG  # rad/s, more than the bias of any gyro worth using
 _MIN_SEGMENTS: Final = 8
 _STRETCH_S: Final = 2.0
+_SAME_NORTH: Final = 0.1  # rad that true north may turn by within a stretch
 
 UNIT_RATIOS: Final = (
     (G, "g where m/s^2 is meant"),
@@ -217,9 +219,13 @@ def _stretches(fixes: FixColumns) -> tuple[NDArray[np.int64], NDArray[np.bool_]]
 
 def _way(fixes: FixColumns, ends: NDArray[np.int64]) -> Vector:
     """Horizontal distance between the fixes ``ends`` of one place and the next, m."""
-    north = np.diff(fixes.lat[ends]) * _EARTH
-    east = np.diff(fixes.lon[ends]) * _EARTH * np.cos(fixes.lat[ends[1:]])
-    return np.asarray(np.hypot(north, east))
+    return np.asarray(np.linalg.norm(np.diff(ecef(fixes.lat[ends], fixes.lon[ends], 0.0), axis=0), axis=1))
+
+
+def _converged(fixes: FixColumns, ends: NDArray[np.int64]) -> Vector:
+    """By how much a bearing grows that is carried from each of ``ends`` to the next, rad."""
+    lat, lon = fixes.lat[ends], fixes.lon[ends]
+    return convergence(lat[:-1], lon[:-1], lat[1:], lon[1:])
 
 
 def _position_against_velocity(device: str, fixes: FixColumns) -> Iterator[Finding]:
@@ -229,7 +235,10 @@ def _position_against_velocity(device: str, fixes: FixColumns) -> Iterator[Findi
     if use.sum() < _MIN_SEGMENTS:
         return
     mean = np.add.reduceat(steps[: ends[-1]], ends[:-1])
+    # next to a pole east and north are others at either end
+    use &= np.abs(_converged(fixes, ends)) < _SAME_NORTH
     dlat, dlon = np.diff(fixes.lat[ends]), np.diff(fixes.lon[ends])
+    dlon = (dlon + math.pi) % (2.0 * math.pi) - math.pi
     step = _EARTH * np.column_stack([dlon * np.cos(fixes.lat[ends[1:]]), dlat])
     swapped = _EARTH * np.column_stack([dlat * np.cos(fixes.lon[ends[1:]]), dlon])
     use &= np.isfinite(mean).all(axis=1)
@@ -283,7 +292,7 @@ def check_turns(device: str, imu: ImuColumns, fixes: FixColumns) -> Iterator[Fin
     v_g, t = fixes.v_g[ends], fixes.t[ends]
     speed = np.hypot(v_g[:, 0], v_g[:, 1])
     course = np.arctan2(v_g[:, 0], v_g[:, 1])
-    turn = np.angle(np.exp(1j * np.diff(course)))
+    turn = np.angle(np.exp(1j * (np.diff(course) - _converged(fixes, ends))))
     turned = np.diff(np.interp(t, imu.t, angle))
     # above a right angle the turn of the course is no longer known from its ends
     use = (

@@ -18,6 +18,8 @@ from bridge.inspection_checks import (
     check_imu,
     check_turns,
 )
+from nav.earth import ecef, geodetic, position_quat
+from nav.rotation import quat_conjugate, quat_rotate
 from nav.types import BaroSample, Vector
 
 RADIUS = 6_371_000.0
@@ -72,6 +74,20 @@ def texts(
 
 def test_a_sound_drive_has_no_findings() -> None:
     assert texts() == []
+
+
+@pytest.mark.parametrize(("lat", "lon"), [(math.pi / 2, 0.3), (LAT, math.pi)])
+def test_nor_has_one_at_a_pole_or_across_the_date_line(lat: float, lon: float) -> None:
+    # the same way over ground, the place half way along it being moved
+    half = len(FIXES.t) // 2
+    east = (FIXES.lon - FIXES.lon[half]) * RADIUS * math.cos(LAT)
+    north = (FIXES.lat - FIXES.lat[half]) * RADIUS
+    q_es = position_quat(lat, lon)
+    flat = np.column_stack([east, north, np.zeros_like(east)])
+    place = geodetic(ecef(lat, lon, 0.0) + quat_rotate(q_es, flat))
+    q_ge = quat_conjugate(position_quat(place[0], place[1]))
+    v_g = quat_rotate(q_ge, quat_rotate(q_es, FIXES.v_g))
+    assert texts(fixes=FIXES._replace(lat=place[0], lon=place[1], v_g=v_g)) == []
 
 
 def scaled(imu: ImuColumns, gyro: float = 1.0, accel: float = 1.0) -> ImuColumns:
