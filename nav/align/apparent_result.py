@@ -1,0 +1,142 @@
+"""From the constant rotation to attitude, velocity and their covariance now; what contradicts them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nav.align import constant
+from nav.align.apparent import A_T, A_V, C_i0g, attitude
+from nav.align.constant import EPS, NAB, SIZE, START, THETA, VEL, Solved
+from nav.align.static import BLIND
+from nav.align.types import AlignConfig, NavInit
+from nav.earth import EARTH_RATE, ecef, position_quat, xyz_to_geodetic
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_rotate, skew
+from nav.types import Vector
+
+_EYE = np.eye(3)
+
+
+def _at(part: slice) -> slice:
+    """Place of a part of the state in `Solved.P`."""
+    return slice(part.start - 6, part.stop - 6)
+
+
+def attitude_now(
+    solved: Solved, row: Vector, start_lat: float, lat: float, lon_since: float
+) -> tuple[Vector, Vector]:
+    """C_gb (3, 3) and the covariance (3, 3) of phi at a row, ``lon_since`` rad east of the start."""
+    C_gb, J = _attitude(solved, row, start_lat, lat, lon_since)
+    return C_gb, J @ solved.P @ J.T
+
+
+def _attitude(
+    solved: Solved, row: Vector, start_lat: float, lat: float, lon_since: float
+) -> tuple[Vector, Vector]:
+    C_gb0 = C_i0g(start_lat, lat, lon_since, float(row[A_T])).T @ solved.C.T
+    by_gyros = dcm_from_quat(quat_from_rotvec(solved.x[THETA])) @ attitude(row)
+    J = np.zeros((3, SIZE - 6))
+    J[:, 0:3], J[:, _at(THETA)] = -C_gb0, C_gb0
+    return C_gb0 @ by_gyros, J
+
+
+def velocity_now(solved: Solved, row: Vector, u: Vector, known: Vector) -> Vector:
+    """Velocity over the Earth (3,) in b0: force felt since the start beyond what gravity ``u`` (3,) has it.
+
+    ``known`` (3,) in b0 is what else adds to the integral of force.
+    """
+    felt = row[A_V : A_V + 3] + solved.x[VEL] + solved.x[START]
+    return np.asarray(felt - solved.C @ u - known)
+
+
+def imu_place(antenna: Vector, l_g: Vector) -> tuple[float, float, float]:
+    """Place of the IMU (rad, rad, m) under an antenna's (3,), by the lever arm (3,) m east, north, up."""
+    lat, lon, height = (float(value) for value in antenna)
+    r_e = ecef(lat, lon, height) - quat_rotate(position_quat(lat, lon), l_g)
+    return xyz_to_geodetic(float(r_e[0]), float(r_e[1]), float(r_e[2]))
+
+
+def hand_over(
+    config: AlignConfig,
+    solved: Solved,
+    row: Vector,
+    t_ns: int,
+    start: tuple[float, float, float],
+    place: tuple[float, float, float],
+    sigma_p: Vector,
+    v_b0: Vector,
+    u: Vector,
+) -> NavInit:
+    """State at a row, for an IMU that went from ``start`` to ``place`` (rad, rad, m) at last by ``v_b0``.
+
+    ``v_b0`` (3,) m/s, ``sigma_p`` (3,) m east, north, up; ``u`` as in `velocity_now`.
+    """
+    since = math.remainder(place[1] - start[1], 2.0 * math.pi)
+    C_gb, J_phi = _attitude(solved, row, start[0], place[0], since)
+    C_gb0 = -J_phi[:, 0:3]
+    J = np.zeros((15, SIZE - 6))
+    J[3:6, 0:3] = C_gb0 @ (skew(solved.C @ u) + skew(v_b0))
+    J[3:6, _at(VEL)] = J[3:6, _at(START)] = C_gb0
+    J[6:9] = J_phi
+    J[9:12, _at(EPS)] = J[12:15, _at(NAB)] = _EYE
+    P = J @ solved.P @ J.T
+    P[0:3, 0:3] = np.diag(sigma_p**2)
+    P = 0.5 * (P + P.T)
+    sigma = np.sqrt(np.diag(P))
+    return NavInit(
+        t_ns=t_ns,
+        lat=place[0],
+        lon=place[1],
+        height=place[2],
+        v_g=C_gb0 @ v_b0,
+        q_gb=quat_from_dcm(C_gb),
+        P_phi=P[6:9, 6:9].copy(),
+        sigma_v=sigma[3:6],
+        sigma_p=sigma[0:3],
+        gyro_bias=solved.x[EPS].copy(),
+        accel_bias=solved.x[NAB].copy(),
+        sigma_gyro_bias=sigma[9:12],
+        sigma_accel_bias=sigma[12:15],
+        C_vb=config.C_vb,
+        sigma_mounting=None if config.C_vb is None else np.full(3, config.sigma_mounting),
+        P=P,
+    )
+
+
+def poor_gyros(config: AlignConfig, lat: float, seconds: float) -> str | None:
+    """Why these gyros cannot find heading from the Earth's turning, or None."""
+    north = EARTH_RATE * math.cos(lat)
+    sigma = math.hypot(config.gyro_bias, config.angle_random_walk / math.sqrt(seconds))
+    if sigma <= BLIND * north:
+        return None
+    return (
+        f"gyros good to {math.degrees(sigma) * 3600:.1f} deg/h cannot find heading in an Earth rate of "
+        f"{math.degrees(north) * 3600:.1f} deg/h; align in motion"
+    )
+
+
+def contradiction(e: constant.Estimate, solved: Solved, lat: float) -> str | None:
+    """What the nine elements contradict, in words, or None: the latitude, gravity, or the base's rest."""
+    if solved.misfit <= constant.MISFIT:
+        return None
+    M = e.x[constant.MAT].reshape(3, 3)
+    up, east = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    out = []
+    for u in (up, east):
+        v = M @ u
+        H = constant.design(u)
+        size = float(np.linalg.norm(v))
+        out.append((size, math.sqrt(float(v @ H @ e.P @ H.T @ v)) / size))
+    (gravity, sigma_gravity), (turn, sigma_turn) = out
+    if abs(gravity - 1.0) > 5.0 * sigma_gravity:
+        return (
+            f"specific force is {gravity:.4f} of gravity: an accelerometer is stuck or badly calibrated, "
+            "or the base is moved"
+        )
+    if abs(turn - 1.0) > 5.0 * sigma_turn:
+        return (
+            f"gravity turns {turn:.3f} times as fast as it does at latitude {math.degrees(lat):.2f} deg: the "
+            "latitude is wrong, or the base is moved"
+        )
+    return "gravity does not turn as it does here: latitude or calibration are wrong, or the base is moved"

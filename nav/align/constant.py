@@ -1,0 +1,222 @@
+"""The constant rotation between two inertial frames, with what disturbs it: one linear filter.
+
+Apparent velocity in b0 is C_b0i0 times what gravity and motion ask for in i0 (Yan Gongmin 2008, eqs. (3-20),
+(3-25), (3-37b)). The nine elements of that constant matrix, free of each other, enter linearly; so do
+sensor biases, their noise and the velocity at the start, because everything they act on is measured in b0.
+A Kalman filter therefore solves the whole problem from no attitude at all and exactly, epoch after
+epoch, with nothing to linearise and no data to keep. That the nine are a rotation is used afterwards, by
+`two_vectors` (eq. (3-22)) or by `attitude_of_all` (Wahba's problem), and what they miss of a rotation
+says whether the data belong to this latitude and these sensors.
+
+Errors are true minus estimate. True C_b0b = (I + [theta x]) C_b0b by the gyros; true integrals of specific
+force = those measured + s, + p.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from nav.align.apparent import Change
+from nav.align.types import AlignConfig
+from nav.rotation import dcm_from_quat, skew
+from nav.types import Vector
+
+MAT: Final = slice(0, 9)  # C_b0i0 by rows
+EPS: Final = slice(9, 12)  # rad/s, gyro bias in b
+NAB: Final = slice(12, 15)  # m/s^2, accelerometer bias in b
+THETA: Final = slice(15, 18)  # rad, in b0
+VEL: Final = slice(18, 21)  # m/s, in b0
+POS: Final = slice(21, 24)  # m, in b0
+START: Final = slice(24, 27)  # m/s, velocity over the Earth at the beginning, in b0
+OFFSET: Final = slice(27, 30)  # m, in b0: place at the beginning, what a reference wanders off
+WHEEL: Final = slice(30, 33)  # 1, rad, rad: odometer scale, mounting in heading and in pitch
+SIZE: Final = 33
+MISFIT: Final = 60.0  # chi-square of six degrees of freedom that no run of the mill data reach
+_EYE: Final = np.eye(3)
+_CROSS: Final = skew(_EYE)  # [e_k x]
+
+
+class Estimate(NamedTuple):
+    """State (SIZE,) and covariance of the filter."""
+
+    x: Vector
+    P: Vector
+
+
+def begin(config: AlignConfig, start: float, offset: float, wheel: Vector) -> Estimate:
+    """Nothing known of the rotation; ``start`` m/s, ``offset`` m and ``wheel`` (3,) standard deviations."""
+    P = np.zeros(SIZE)
+    P[MAT] = 1.0 / 3.0  # an element of a rotation matrix is that large
+    P[EPS], P[NAB] = config.gyro_bias**2, config.accel_bias**2
+    P[START], P[OFFSET] = start**2, offset**2
+    P[WHEEL] = wheel**2
+    return Estimate(np.zeros(SIZE), np.diag(P))
+
+
+def predict(
+    e: Estimate, c: Change, config: AlignConfig, walk: Vector, forget_s: float = math.inf
+) -> Estimate:
+    """Over a change of the rows; ``walk`` (3, 3) m^2/s drives the offset, which lasts ``forget_s``."""
+    F = np.eye(SIZE)
+    force = skew(c.dv)
+    F[THETA, EPS] = -c.A
+    F[VEL, THETA], F[VEL, EPS], F[VEL, NAB] = -force, c.B, -c.A
+    F[POS, VEL], F[POS, THETA] = _EYE * c.dt, -skew(c.dp)
+    F[POS, EPS], F[POS, NAB] = c.D, -c.E
+    F[OFFSET, OFFSET] *= math.exp(-c.dt / forget_s)
+    Q = np.zeros((SIZE, SIZE))
+    turn, push = config.angle_random_walk**2 * c.dt, config.velocity_random_walk**2 * c.dt
+    Q[THETA, THETA] = turn * _EYE
+    # the attitude that walks within the change turns the force: integrals of a random walk
+    Q[VEL, THETA] = -0.5 * turn * force
+    Q[THETA, VEL] = Q[VEL, THETA].T
+    Q[VEL, VEL] = push * _EYE + turn / 3.0 * force @ force.T
+    Q[POS, VEL] = Q[VEL, POS] = 0.5 * push * c.dt * _EYE
+    Q[POS, POS] = push * c.dt**2 / 3.0 * _EYE
+    Q[OFFSET, OFFSET] = walk * c.dt
+    return Estimate(F @ e.x, F @ e.P @ F.T + Q)
+
+
+def design(u: Vector, further: Vector | None = None, axis: Vector | None = None) -> Vector:
+    """H (3, SIZE) of C_b0i0 ``u`` (3,), and of ``further`` (3, 3) C_b0i0 ``axis`` (3,)."""
+    H = np.zeros((3, SIZE))
+    for i in range(3):
+        H[i, 3 * i : 3 * i + 3] = u
+    if further is not None and axis is not None:
+        H[:, MAT] += np.kron(further, axis)
+    return H
+
+
+class Innovation(NamedTuple):
+    """What an epoch says against what was expected of it: (3,), and its covariance."""
+
+    nu: Vector
+    S: Vector
+
+    @property
+    def chi2(self) -> float:
+        """Normalised square, three degrees of freedom."""
+        return float(self.nu @ np.linalg.solve(self.S, self.nu))
+
+
+def innovation(e: Estimate, H: Vector, z: Vector, R: Vector) -> Innovation:
+    """Of ``z`` (3,) = H x + noise of covariance ``R`` (3, 3)."""
+    return Innovation(z - H @ e.x, H @ e.P @ H.T + R)
+
+
+def update(e: Estimate, H: Vector, z: Vector, R: Vector) -> Estimate:
+    """Take the epoch into the estimate. Joseph's form: positions are large against what they tell."""
+    nu, S = innovation(e, H, z, R)
+    K = np.linalg.solve(S, H @ e.P).T
+    keep = np.eye(SIZE) - K @ H
+    P = keep @ e.P @ keep.T + K @ R @ K.T
+    return Estimate(e.x + K @ nu, 0.5 * (P + P.T))
+
+
+class Solved(NamedTuple):
+    """The rotation: C_b0i0 (3, 3), the rest of the state, and the joint covariance.
+
+    The first three places of ``P`` (SIZE - 6, SIZE - 6) are psi, true C_b0i0 = (I + [psi x]) C; the others
+    follow the state's from `EPS` on, six places earlier. ``misfit``: chi-square of six degrees of freedom
+    that the nine elements miss a rotation by.
+    """
+
+    C: Vector
+    x: Vector
+    P: Vector
+    misfit: float
+
+
+def _by_elements(C: Vector) -> Vector:
+    """d vec(C) / d psi (9, 3)."""
+    return np.stack([(_CROSS[k] @ C).ravel() for k in range(3)], axis=1)
+
+
+def _q_method(B: Vector) -> Vector:
+    """C that maximises tr(C B^T): the quaternion is an eigenvector. Davenport's q-method; Wahba 1965."""
+    # of the rotation i0 to b0: B = sum of w v u^T
+    z = np.array([B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]])
+    trace = float(np.trace(B))
+    K = np.empty((4, 4))
+    K[0, 0] = trace
+    K[0, 1:] = K[1:, 0] = z
+    K[1:, 1:] = B + B.T - trace * _EYE
+    return np.asarray(dcm_from_quat(np.linalg.eigh(K)[1][:, -1]))
+
+
+def attitude_of_all(e: Estimate) -> Solved | None:
+    """Wahba's problem with all the data: the rotation nearest to the nine elements, by their covariance.
+
+    The weights are the inverse covariance that sensor noise, biases and disturbances give the elements. The
+    q-method solves it with the mean of them over the axes of b0, which is exact where nothing prefers an
+    axis; a few Gauss-Newton steps put in what differs. None where the covariance is not one.
+    """
+    try:
+        weight = np.linalg.inv(e.P[MAT, MAT])
+    except np.linalg.LinAlgError:
+        return None
+    m = e.x[MAT]
+    C = _q_method(m.reshape(3, 3) @ np.einsum("iaib->ab", weight.reshape(3, 3, 3, 3)))
+    for _ in range(6):
+        J = _by_elements(C)
+        A = J.T @ weight @ J
+        psi = np.asarray(np.linalg.solve(A, J.T @ weight @ (m - C.ravel())), np.float64)
+        C = _turned(C, psi)
+        if float(np.abs(psi).max()) < 1e-12:
+            break
+    J = _by_elements(C)
+    sigma = np.asarray(np.linalg.inv(J.T @ weight @ J), np.float64)
+    miss = m - C.ravel()
+    gain = e.P[:, MAT] @ weight
+    spread = gain @ J
+    x = e.x - gain @ miss
+    rest = e.P - gain @ e.P[MAT, :] + spread @ sigma @ spread.T
+    return _joint(C, x, sigma, sigma @ spread[9:].T, rest, float(miss @ weight @ miss))
+
+
+def two_vectors(e: Estimate, u_l: Vector, u_m: Vector) -> Solved | None:
+    """Eq. (3-22): the rotation from the images of two vectors (3,) of i0, of which ``u_m`` counts fully."""
+    M = e.x[MAT].reshape(3, 3)
+    found = attitude_of_all(e)
+    v_l, v_m = M @ u_l, M @ u_m
+    if found is None or float(np.linalg.norm(np.cross(v_m, v_l))) < 1e-12:
+        return None
+    C = _frame(v_m, v_l) @ _frame(u_m, u_l).T
+    # psi of a small change of the images: v_m turns by two components, v_l gives the third
+    a, b, c = _frame(v_m, v_l).T
+    size_m, size_l = float(np.linalg.norm(v_m)), float(v_l @ np.cross(b, a))
+    along = float(v_l @ a)
+    # da = psi x a: components of dv_m across a; then what is left of dv_l out of the plane
+    G_m = (np.outer(b, -c) + np.outer(c, b)) / size_m
+    out_m, out_l = -along / (size_m * size_l) * b, b / size_l
+    by_m, by_l = G_m + np.outer(a, out_m), np.outer(a, out_l)
+    G = np.zeros((3, 9))
+    for i in range(3):
+        G[:, 3 * i : 3 * i + 3] = np.outer(by_m[:, i], u_m) + np.outer(by_l[:, i], u_l)
+    cross = G @ e.P[MAT, 9:]
+    return _joint(C, e.x, G @ e.P[MAT, MAT] @ G.T, cross, e.P, found.misfit)
+
+
+def _frame(first: Vector, second: Vector) -> Vector:
+    """Columns: first, first x second, and their product, each of unit length; eq. (3-22)."""
+    a = first / np.linalg.norm(first)
+    b = np.cross(a, second)
+    b /= np.linalg.norm(b)
+    return np.stack([a, b, np.cross(a, b)], axis=1)
+
+
+def _turned(C: Vector, psi: Vector) -> Vector:
+    angle = float(np.linalg.norm(psi))
+    if angle > 0.5:
+        psi = psi * (0.5 / angle)
+    q = np.concatenate([[1.0], 0.5 * psi])
+    return np.asarray(dcm_from_quat(q / np.linalg.norm(q))) @ C
+
+
+def _joint(C: Vector, x: Vector, sigma: Vector, cross: Vector, P: Vector, misfit: float) -> Solved:
+    out = np.empty((SIZE - 6, SIZE - 6))
+    out[:3, :3], out[:3, 3:], out[3:, :3], out[3:, 3:] = sigma, cross, cross.T, P[9:, 9:]
+    return Solved(C, x, 0.5 * (out + out.T), misfit)

@@ -1,0 +1,139 @@
+"""What disturbs apparent velocity: sway averaged out, how rough the rest is, and a stuck accelerometer."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from nav.jit import kernel
+from nav.types import Vector
+
+EPOCHS: Final = 16  # differences that count as the present
+LAG: Final = 4
+GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)
+STUCK_S: Final = 2.0
+_AXES: Final = ("right", "forward", "up")
+
+
+class Roughness(NamedTuple):
+    """The last epochs, and the mean squares of the last fourth differences of them.
+
+    A cubic has none, so neither gravity, its drift nor a bias shows, only what is different from epoch to
+    epoch. They are taken between neighbours and between every `LAG`-th epoch, which sees a slower sway.
+    """
+
+    t: tuple[float, ...] = ()
+    z: tuple[Vector, ...] = ()
+    near: tuple[float, ...] = ()
+    far: tuple[float, ...] = ()
+
+    @property
+    def sigma(self) -> float | None:
+        """Standard deviation of one component of an epoch, or None while there are too few."""
+        if len(self.near) < 4:
+            return None
+        near = sum(self.near) / len(self.near)
+        return math.sqrt(max(near, sum(self.far) / len(self.far)) if len(self.far) >= 4 else near)
+
+
+def follow(rough: Roughness, t: float, z: Vector) -> Roughness:
+    """Add the epoch ``z`` (3,) at ``t`` s."""
+    times, values = (*rough.t, t)[-4 * LAG - 1 :], (*rough.z, z)[-4 * LAG - 1 :]
+    near, far = rough.near, rough.far
+    if len(times) >= 5:
+        near = (*near, _square(times[-5:], values[-5:]))[-EPOCHS:]
+    if len(times) > 4 * LAG:
+        far = (*far, _square(times[::LAG], values[::LAG]))[-EPOCHS:]
+    return Roughness(times, values, near, far)
+
+
+def _square(times: tuple[float, ...], values: tuple[Vector, ...]) -> float:
+    """Mean square of a component of noise that has this fourth divided difference."""
+    t = np.array(times)
+    apart = t[:, None] - t + np.eye(5)
+    weights = 1.0 / np.prod(apart, axis=1)
+    fourth = weights @ np.array(values)
+    return float(fourth @ fourth) / (3.0 * float(weights @ weights))
+
+
+class Window(NamedTuple):
+    """Weighted sums over an epoch, a squared sine long: what swings faster than twice in it averages out.
+
+    ``sums`` (3 + n,): weights, weighted seconds since the middle, their squares, and weighted values (n,).
+    """
+
+    begin: float  # s
+    length: float
+    sums: Vector
+
+    @property
+    def middle(self) -> float:
+        """Its middle, s."""
+        return self.begin + 0.5 * self.length
+
+    def mean(self) -> tuple[float, float, Vector]:
+        """Mean and mean square of the seconds since the middle, mean of the values (n,)."""
+        w = float(self.sums[0])
+        return float(self.sums[1]) / w, float(self.sums[2]) / w, self.sums[3:] / w
+
+
+def window(begin: float, length: float, n: int) -> Window:
+    """An empty one for values (n,)."""
+    return Window(begin, length, np.zeros(3 + n))
+
+
+def spread(index: int, mean: float, width: float) -> float:
+    """Seconds between epochs: all are different, else a sway of their rate would look like a drift."""
+    return mean + width * ((index * GOLDEN) % 1.0 - 0.5)
+
+
+@kernel
+def weigh(sums: Vector, begin: float, length: float, t: float, values: Vector) -> None:
+    """Add ``values`` (n,) at ``t`` s to the sums of a `Window`."""
+    x = (t - begin) / length
+    if x <= 0.0 or x >= 1.0:
+        return
+    w = math.sin(math.pi * x) ** 2
+    since = t - begin - 0.5 * length
+    sums[0] += w
+    sums[1] += w * since
+    sums[2] += w * since * since
+    for i in range(values.shape[0]):
+        sums[3 + i] += w * values[i]
+
+
+class Held(NamedTuple):
+    """How long each accelerometer has said the same; arrays are used up."""
+
+    last: Vector  # (3,)
+    seconds: Vector  # (3,)
+
+
+def held() -> Held:
+    """Before the first sample."""
+    return Held(np.zeros(3), np.zeros(3))
+
+
+@kernel
+def _hold(last: Vector, seconds: Vector, dv: Vector, dt: float, limit: float) -> int:
+    stuck, alive = -1, False
+    for i in range(3):
+        # no pulses at all are what a level axis of a coarse instrument gives
+        if dv[i] == last[i] and dv[i] != 0.0:
+            seconds[i] += dt
+        else:
+            seconds[i] = 0.0
+        last[i] = dv[i]
+        if seconds[i] > limit:
+            stuck = i
+        else:
+            alive = True
+    return stuck if alive else -1
+
+
+def stuck(state: Held, dv: Vector, dt: float) -> str | None:
+    """Which accelerometer has said exactly the same for too long while others did not, in words."""
+    axis = _hold(state.last, state.seconds, dv, dt, STUCK_S)
+    return None if axis < 0 else f"the {_AXES[axis]} accelerometer is stuck"
