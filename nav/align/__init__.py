@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from nav.align.compass import ONCE, RAPID
+from nav.align.inertial import ALL, DOUBLE, SINGLE
 from nav.align.level import LEVEL
 from nav.align.match import MATCH
 from nav.align.static import COARSE, FINE
@@ -28,6 +29,9 @@ ALIGNMENTS: Final[dict[str, Alignment]] = {
     "motion": Alignment(needs=frozenset({"gnss"}), stages=(LEVEL, MATCH)),
     "gyrocompass": Alignment(needs=frozenset(), stages=(ONCE,)),
     "rapid_gyrocompass": Alignment(needs=frozenset(), stages=(RAPID,)),
+    "inertial_single": Alignment(needs=frozenset(), stages=(SINGLE,)),
+    "inertial": Alignment(needs=frozenset(), stages=(DOUBLE,)),
+    "inertial_wahba": Alignment(needs=frozenset(), stages=(ALL,)),
 }
 
 __all__ = [
