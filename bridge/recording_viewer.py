@@ -13,6 +13,8 @@ from typing import Any, Final
 
 import msgspec
 
+from nav.earth import position_quat
+from nav.rotation import quat_conjugate, quat_multiply
 from nav.types import S, Solution, SolutionFlag
 
 POSE: Final = "foxglove.PoseInFrame"
@@ -111,11 +113,13 @@ class Encoder:
         encode = msgspec.json.encode
         messages: list[tuple[str, bytes]] = []
         place = {"x": 0.0, "y": 0.0, "z": 0.0}
+        attitude = state[S.Q]
         if flags & SolutionFlag.POSITION:
             lat, lon, height = state[0:3]
             if self._origin is None:
                 self._origin = (lat, lon, height)
             place = dict(zip("xyz", east_north_up(self._origin, (lat, lon, height)), strict=True))
+            attitude = on_the_map(self._origin, lat, lon, attitude)
             east, north, up = (sigma * sigma for sigma in state[S.SIGMA_P])
             fix = {
                 "timestamp": stamp,
@@ -128,7 +132,7 @@ class Encoder:
             }
             messages.append((LOCATION, encode(fix)))
         if flags & _ATTITUDE == _ATTITUDE:
-            turn = dict(zip("wxyz", forward_left_up(state[S.Q]), strict=True))
+            turn = dict(zip("wxyz", forward_left_up(attitude), strict=True))
             pose = {"timestamp": stamp, "frame_id": "map", "pose": {"position": place, "orientation": turn}}
             transform = {
                 "timestamp": stamp,
@@ -139,6 +143,17 @@ class Encoder:
             }
             messages += [(POSE, encode(pose)), (TRANSFORM, encode(transform))]
         return messages
+
+
+def on_the_map(
+    origin: tuple[float, float, float], lat: float, lon: float, q_gv: tuple[float, ...]
+) -> tuple[float, ...]:
+    """``q_gv`` (4,) at ``lat``, ``lon`` (rad) against east-north-up of the map's origin, not of the place.
+
+    The two differ by little near the origin, and by anything near a pole.
+    """
+    q_og = quat_multiply(quat_conjugate(position_quat(origin[0], origin[1])), position_quat(lat, lon))
+    return tuple(quat_multiply(q_og, q_gv).tolist())
 
 
 def forward_left_up(q_gv: tuple[float, ...]) -> tuple[float, float, float, float]:

@@ -16,7 +16,7 @@ from bridge.frame import RawFrame
 from bridge.outputs import Checkpoint, SolutionOut
 from bridge.recording import Capture, Recorder
 from bridge.recording_format import pack_frames, unpack_frames
-from bridge.recording_viewer import east_north_up, forward_left_up
+from bridge.recording_viewer import east_north_up, forward_left_up, on_the_map
 from nav.types import Mode, S, Solution, SolutionFlag
 
 UTC = 1_700_000_000_000_000_000
@@ -175,6 +175,17 @@ def test_nothing_is_shown_before_it_is_valid(tmp_path: Path) -> None:
 def test_forward_left_up_turns_forward_into_the_x_axis() -> None:
     # forward is y of the vehicle; pointing north it must be y of the map, a quarter turn about up
     assert forward_left_up((1.0, 0.0, 0.0, 0.0)) == pytest.approx((math.sqrt(0.5), 0, 0, math.sqrt(0.5)))
+
+
+def test_on_the_map_a_vehicle_keeps_its_attitude_over_the_pole() -> None:
+    # north along Greenwich, over the pole, and on: true heading jumps, the map sees no turn
+    ahead, back = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)
+    pole = math.pi / 2 - 1e-6
+    before = on_the_map((pole, 0.0, 0.0), pole, 0.0, ahead)
+    after = on_the_map((pole, 0.0, 0.0), pole, math.pi, back)
+    assert before == pytest.approx(ahead, abs=1e-15)
+    # level turns by 2e-6 rad on the way
+    assert abs(sum(a * b for a, b in zip(before, after, strict=True))) == pytest.approx(1.0, abs=1e-11)
 
 
 def test_local_coordinates_of_small_steps() -> None:
