@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from importlib.resources import files
 from typing import Any
 
@@ -198,6 +199,28 @@ def test_identifiers_shift_and_other_navigators_are_left_alone() -> None:
 
 
 DEPENDING = ("SOL_HEADING", "SOL_VEL_H", "SOL_LAT", "SOL_LON", "SOL_SIGMA_VEL")
+
+
+def test_every_message_that_depends_on_the_frame_names_it() -> None:
+    # the sigma of a heading is that of a direction, whatever it is counted from
+    depends = re.compile(r"HEADING|VEL_[EN]|LAT|LON|SIGMA_(N|E|VE|VN)")
+    found = {
+        message.name
+        for message in DBC.messages
+        if message.name.startswith("SOL_")
+        and any(depends.fullmatch(signal.name) for signal in message.signals)
+    }
+    assert found == set(DEPENDING)
+    for name in found:
+        frame = DBC.get_message_by_name(name).get_signal_by_name("FRAME")
+        assert {int(code): str(text) for code, text in frame.choices.items()} == {
+            int(each): each.name.capitalize() for each in Frame
+        }
+    # angles are known to 1.1 mm on the ground, velocities to 0.1 mm/s
+    for name, signal in (("SOL_LAT", "LAT"), ("SOL_LON", "LON")):
+        step = DBC.get_message_by_name(name).get_signal_by_name(signal).scale
+        assert math.radians(step) * earth.SEMI_MAJOR < 2e-3
+    assert DBC.get_message_by_name("SOL_VEL_H").get_signal_by_name("VEL_E").scale == 1e-4
 
 
 @pytest.mark.parametrize(("frame", "code"), [("grid", Frame.GRID), ("transverse", Frame.TRANSVERSE)])
