@@ -26,10 +26,8 @@ from nav.align.apparent import (
     A_P,
     A_T,
     A_V,
-    Change,
     Tracker,
     add,
-    change,
     gravity_integrals,
     present,
     tracker,
@@ -42,8 +40,9 @@ from nav.align.apparent_result import (
     poor_gyros,
     velocity_now,
 )
-from nav.align.constant import OFFSET, POS, START, VEL, Estimate, Solved
-from nav.align.disturbance import Held, Roughness, Window, follow, held, spread, stuck, weigh, window
+from nav.align.constant import OFFSET, POS, START, VEL, Solved
+from nav.align.disturbance import Held, Window, held, spread, stuck, weigh, window
+from nav.align.epochs import Book, bring, take
 from nav.align.static import PATIENCE_S, limits
 from nav.align.still import Still
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
@@ -54,8 +53,6 @@ from nav.types import ImuSample, Sample, Vector
 EPOCH_S: Final = 3.0
 GAP_S: Final = (0.4, 0.8)  # mean pause between epochs, and how far pauses are spread
 INSTANT_S: Final = (1.0, 0.8)  # the same between instants
-SETTLE_S: Final = 25.0  # before that the nine elements are not told apart
-SIGMAS: Final = 6.0
 PUSHED: Final = 0.05  # m or m/s that is no sway
 START_SPEED: Final = 1.0  # m/s, standard deviation of the velocity at the start
 PLACE: Final = 0.2  # m, standard deviation of the displacement at the start
@@ -63,14 +60,6 @@ SWAY_S: Final = 0.05  # displacement over velocity of a sway that no epoch avera
 _EYE: Final = np.eye(3)
 _NONE: Final = np.zeros((3, 3))
 _SQUARE: Final = 1.0 / 12.0 - 0.5 / math.pi**2  # mean square of the seconds in a window of one second
-
-
-class Epoch(NamedTuple):
-    """An epoch that waits until it is known how rough the base is."""
-
-    change: Change
-    H: Vector
-    z: Vector
 
 
 class Sway(NamedTuple):
@@ -82,16 +71,12 @@ class Sway(NamedTuple):
     place: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, rad, m, as known at the beginning
     waited: float = 0.0
     track: Tracker | None = None
-    row: Vector | None = None  # at the last epoch
+    book: Book | None = None  # of the epochs
     middle: Vector | None = None  # in the middle of the open one
     window: Window | None = None
     t_ns: int = 0
-    estimate: Estimate | None = None
     solved: Solved | None = None
-    rough: Roughness = Roughness()
-    waiting: tuple[Epoch, ...] = ()
     status: AlignStatus | None = None  # at the last epoch
-    epochs: int = 0
 
 
 def init(config: AlignConfig, given: NavInit | None) -> Sway:
@@ -124,8 +109,7 @@ def _wait(state: Sway, sample: ImuSample, reason: str | None) -> tuple[Sway, str
     state = state._replace(
         place=place,
         track=track,
-        row=track.row.copy(),
-        estimate=constant.begin(config, START_SPEED, PLACE, np.zeros(3)),
+        book=Book(constant.begin(config, START_SPEED, PLACE, np.zeros(3)), track.row.copy()),
         status=_blank(config, place),
     )
     return state, reason or poor_gyros(config, place[0], _duration(config))
@@ -147,10 +131,10 @@ def _step(state: Sway, sample: Sample, twice: bool, vectors: bool) -> tuple[Sway
         status = _blank(state.config, None)
     if reason is not None:
         return state, status._replace(done=False, refusal=reason)
-    if status.estimate is None or status.done or state.track is None or state.row is None:
+    if status.estimate is None or status.done or state.track is None or state.book is None:
         return state, status
     # the base moves between epochs
-    q_gb = present(state.track, state.row, status.estimate, earth_rate_g(state.place[0]))
+    q_gb = present(state.track, state.book.row, status.estimate, earth_rate_g(state.place[0]))
     return state, AlignStatus(q_gb, status.covariance, status.limit, status.progress, False)
 
 
@@ -159,11 +143,12 @@ def _add(
 ) -> tuple[Sway, str | None]:
     row, frame = track.row, state.window
     seconds = float(row[A_T])
+    assert state.book is not None
     if frame is None:
         if twice:
-            frame = window(seconds + spread(state.epochs, *GAP_S), EPOCH_S, 3)
+            frame = window(seconds + spread(state.book.taken, *GAP_S), EPOCH_S, 3)
         else:
-            frame = window(seconds, spread(state.epochs, *INSTANT_S), 3)
+            frame = window(seconds, spread(state.book.taken, *INSTANT_S), 3)
         state = state._replace(window=frame, middle=None)
     ahead = seconds + float(track.waiting[1]) + sample.dt
     end = ahead > _duration(state.config) - 1e-6
@@ -183,8 +168,8 @@ def _add(
 def _close(state: Sway, row: Vector, frame: Window, twice: bool, vectors: bool) -> tuple[Sway, str | None]:
     """An epoch: what was seen, what is expected of it, and the new solution."""
     config, (lat, _, height) = state.config, state.place
-    assert state.row is not None
-    assert state.estimate is not None
+    assert state.book is not None
+    assert state.status is not None
     if twice:
         assert state.middle is not None
         at = state.middle
@@ -210,31 +195,13 @@ def _close(state: Sway, row: Vector, frame: Window, twice: bool, vectors: bool) 
         H = constant.design(gravity_integrals(lat, height, seconds)[0])
         H[:, VEL], H[:, START] = -_EYE, -_EYE
         z = bare = at[A_V : A_V + 3].copy()
-    epoch = Epoch(change(state.row, at), H, z)
-    rough = follow(state.rough, seconds, bare)
-    before, e, reason = state.rough.sigma, state.estimate, None
-    waiting = (*state.waiting, epoch)
-    sigma = max(config.sway * (SWAY_S if twice else 1.0), rough.sigma or 0.0)
-    if before is not None and seconds > SETTLE_S:
-        e = constant.predict(e, epoch.change, config, _NONE)
-        usual = max(config.sway * (SWAY_S if twice else 1.0), before)
-        nu = constant.innovation(e, H, z, usual**2 * _EYE)
-        moved = float(np.linalg.norm(nu.nu))
-        if moved > PUSHED and nu.chi2 > SIGMAS**2 + 3.0:
-            reason = f"the base was pushed or moves: {moved:.2f} {'m' if twice else 'm/s'}"
-        e = constant.update(e, H, z, sigma**2 * _EYE)
-        waiting = ()
-    elif rough.sigma is not None:
-        for past in waiting:
-            e = constant.predict(e, past.change, config, _NONE)
-            e = constant.update(e, past.H, past.z, sigma**2 * _EYE)
-        waiting = ()
-    state = state._replace(
-        row=at, estimate=e, rough=rough, epochs=state.epochs + 1, window=None, waiting=waiting
-    )
-    if waiting or seconds < SETTLE_S or reason is not None:
-        assert state.status is not None
-        return state._replace(status=state.status._replace(progress=_progress(config, seconds))), reason
+    floor = config.sway * (SWAY_S if twice else 1.0)
+    book, moved = take(state.book, config, at, seconds, bare, H, z, _NONE, floor)
+    status, state = state.status, state._replace(book=book, window=None)
+    if moved > PUSHED:
+        return state, f"the base was pushed or moves: {moved:.2f} {'m' if twice else 'm/s'}"
+    if not book.settled:
+        return state._replace(status=status._replace(progress=_progress(config, seconds))), None
     return _solve(state, twice, vectors, False)
 
 
@@ -244,50 +211,50 @@ def _progress(config: AlignConfig, seconds: float) -> float:
 
 def _end(state: Sway, row: Vector, twice: bool, vectors: bool) -> tuple[Sway, str | None]:
     """Bring the last epoch's estimate to the last sample."""
-    assert state.row is not None
-    assert state.estimate is not None
-    if state.waiting:
+    assert state.book is not None
+    if not state.book.settled:
         return state, f"{_duration(state.config):.0f} s are too short to tell sway from gravity"
-    e = constant.predict(state.estimate, change(state.row, row), state.config, _NONE)
-    return _solve(state._replace(estimate=e, row=row.copy()), twice, vectors, True)
+    return _solve(state._replace(book=bring(state.book, state.config, row, _NONE)), twice, vectors, True)
 
 
 def _solve(state: Sway, twice: bool, vectors: bool, done: bool) -> tuple[Sway, str | None]:
     (lat, _, height), config = state.place, state.config
-    assert state.row is not None
-    assert state.estimate is not None
+    assert state.book is not None
     assert state.status is not None
-    seconds = float(state.row[A_T])
+    estimate, row = state.book.estimate, state.book.row
+    seconds = float(row[A_T])
     if vectors:
         # of the middle and of the end, as fitted to all epochs between
         which = 1 if twice else 0
         u_l, u_m = (gravity_integrals(lat, height, x * seconds)[which] for x in (0.5, 1.0))
-        solved = constant.two_vectors(state.estimate, u_l, u_m)
+        solved = constant.two_vectors(estimate, u_l, u_m)
     else:
-        solved = constant.attitude_of_all(state.estimate)
+        solved = constant.attitude_of_all(estimate)
     if solved is None:
         return state, "what was measured does not fix an attitude" if done else None
-    C_gb, P_phi = attitude_now(solved, state.row, lat, lat, 0.0)
+    C_gb, P_phi = attitude_now(solved, row, lat, lat, 0.0)
     limit, progress = state.status.limit, _progress(config, seconds)
     status = AlignStatus(quat_from_dcm(C_gb), P_phi, limit, progress, done)
-    reason = contradiction(state.estimate, solved, lat)
+    reason = contradiction(estimate, solved, lat)
     return state._replace(solved=solved, status=status), reason
 
 
 def finish(state: Sway) -> NavInit:
     """Attitude, velocity of the sway and biases at the last sample."""
     assert state.solved is not None
-    assert state.row is not None
+    assert state.book is not None
     assert state.status is not None
     assert state.status.estimate is not None
     config, (lat, _, height) = state.config, state.place
-    once, _ = gravity_integrals(lat, height, float(state.row[A_T]))
-    v_b0 = velocity_now(state.solved, state.row, once, np.zeros(3))
+    once, _ = gravity_integrals(lat, height, float(state.book.row[A_T]))
+    v_b0 = velocity_now(state.solved, state.book.row, once, np.zeros(3))
     place, sigma_p = state.place, np.full(3, config.sigma_position)
     if config.position is None:
         C_gb = dcm_from_quat(state.status.estimate)
         place, sigma_p = imu_place(state.still.place, C_gb @ config.gnss_lever_arm), state.still.sigma_place
-    return hand_over(config, state.solved, state.row, state.t_ns, state.place, place, sigma_p, v_b0, once)
+    return hand_over(
+        config, state.solved, state.book.row, state.t_ns, state.place, place, sigma_p, v_b0, once
+    )
 
 
 def _stepping(twice: bool, vectors: bool) -> Callable[[Sway, Sample], tuple[Sway, AlignStatus]]:
