@@ -131,8 +131,9 @@ class Engine:
                 self.accept[number] = frozenset(keys | {self._command_codec.frame_id})
         self._heard = frozenset((BRIDGE, *self.peers) if self.peers else ())  # sources that peers listen to
         if warm:
-            # a navigator that was cut off aligns in motion, whatever it began with
-            warm_up(frozenset(("motion", *(each.alignment for each in config.navigators.values()))))
+            # those that a command can start, and the one of a navigator that was cut off
+            needs = [need for by_method in self._lacking.values() for need in by_method.items()]
+            warm_up(frozenset(("motion", *(method for method, lacks in needs if not lacks))))
 
     def _sensors(self, name: str, config: Config) -> dict[str, Counters]:
         kinds = provided(name, config)

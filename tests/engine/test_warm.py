@@ -26,8 +26,8 @@ files, frames = bench_frames()
 for alignment in (b"motion", b"static"):
     text = files["config.toml"].replace(b'alignment = "static"', b'alignment = "' + alignment + b'"')
     engine = Engine(Config.from_files({**files, "config.toml": text}))
-    # half a second of imports that only the static alignment needs, and not in the middle of it
-    assert ("filterpy" in sys.modules) == (alignment == b"static")
+    # half a second of imports, but not in the middle of the static alignment
+    assert "filterpy" in sys.modules
     before = compiled()
     # from 60 s on the receiver is two seconds late besides, so that the history is rewound
     start = frames[0].rx_ns + 60 * 10**9
