@@ -13,6 +13,11 @@ def seconds(text: str) -> float:
     return _above_zero(text, "a number of seconds above 0")
 
 
+def angle(text: str) -> float:
+    """An angle above zero."""
+    return _above_zero(text, "a number of degrees above 0")
+
+
 def rate(text: str) -> float:
     """A frequency above zero."""
     return _above_zero(text, "a number above 0")

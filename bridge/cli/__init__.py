@@ -32,6 +32,7 @@ COMMANDS: Final[dict[str, Command]] = {
     "sim": Command("bridge.cli.sim", "put a simulated vehicle's devices on a bus"),
     "replay": Command("bridge.cli.replay", "play a capture again and compare the digest"),
     "import": Command("bridge.cli.import_", "make a capture of somebody else's recording"),
+    "align": Command("bridge.cli.align", "run alignments on a capture and compare what they find"),
     "plot": Command("bridge.cli.plot", "draw what is in a capture"),
     "check": Command("bridge.cli.check", "check a configuration without opening a bus"),
     "inspect": Command("bridge.cli.inspect", "say what is in a capture and what looks wrong"),

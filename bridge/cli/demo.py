@@ -18,7 +18,7 @@ from bridge.config import Config
 from bridge.errors import ConfigError
 from bridge.evaluate import SolutionTable, TruthTable, coverage, errors, summary, table, truth_document
 from bridge.live import Outcome
-from bridge.outputs import Output, SolutionOut, Transmit
+from bridge.outputs import Output, Progress, SolutionOut, Transmit
 from bridge.recording import Recorder
 from bridge.report import explain_wait, outcome_lines
 from bridge.view import ViewProcess, ViewSink
@@ -108,12 +108,15 @@ class EmbeddedBench:
 
 
 class TruthSink:
-    """Keeps the truth of one solution in every tenth of a second, and records it."""
+    """Keeps the truth of one solution in every tenth of a second, and records it.
+
+    While it aligns there is not always a solution: what an alignment reports is a time to record it as well.
+    """
 
     def __init__(self, bench: EmbeddedBench, recorder: Recorder | None) -> None:
         self._bench = bench
         self._recorder = recorder
-        self._slot = -1
+        self._slot = self._recorded = -1
         self._solutions: list[SolutionOut] = []
         self._documents: list[dict[str, Any]] = []
 
@@ -124,12 +127,18 @@ class TruthSink:
                 t_ns = output.solution.t_ns
                 if t_ns // _TRUTH_NS > self._slot:
                     self._slot = t_ns // _TRUTH_NS
-                    document = self._bench.truth(t_ns)
-                    if self._recorder is not None:
-                        self._recorder.truth(t_ns, document)
                     self._solutions.append(output)
-                    self._documents.append(document)
+                    self._documents.append(self._record(t_ns))
+            elif isinstance(output, Progress) and output.t_ns // _TRUTH_NS > self._recorded:
+                self._record(output.t_ns)
         return []
+
+    def _record(self, t_ns: int) -> dict[str, Any]:
+        document = self._bench.truth(t_ns)
+        if self._recorder is not None and t_ns // _TRUTH_NS > self._recorded:
+            self._recorded = t_ns // _TRUTH_NS
+            self._recorder.truth(t_ns, document)
+        return document
 
     def lines(self, seconds: float) -> list[str]:
         """Errors of the whole run of so many seconds, for people."""
