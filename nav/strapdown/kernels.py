@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nav.earth import EARTH_RATE, curvature, gravity_north, normal_gravity, radii
 from nav.jit import kernel
 from nav.rotation import exponential, multiply
-from nav.strapdown.coning import coefficient_table
+from nav.strapdown.coning import BEND, SLOPE, coefficient_table
 from nav.strapdown.control import U_FREE, U_H, U_KH, U_KV, U_NORTH, U_TURN, U_V, U_WC
 
 Vector = NDArray[np.float64]
@@ -37,6 +37,43 @@ M_G: Final = 24  # 2 g / R
 M_SIZE: Final = 25
 
 _CONING: Final = coefficient_table()
+
+
+@kernel
+def _cross(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> tuple[float, float, float]:
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+@kernel
+def _third_order(
+    d: Vector, n: int, sx: float, sy: float, sz: float, vx: float, vy: float, vz: float
+) -> tuple[float, float, float]:
+    """Twin of `coning._third_order`; (sx, sy, sz) and (vx, vy, vz) are the sums of the samples in ``d``."""
+    m, r = _CONING[n, SLOPE], _CONING[n, BEND]
+    e, low, high = 3 * (n - 1), 3 * ((n - 1) // 2), 3 * (n // 2)
+    ax, ay, az = (d[e] - d[0]) * m, (d[e + 1] - d[1]) * m, (d[e + 2] - d[2]) * m
+    bx = (d[0] + d[e] - d[low] - d[high]) * r
+    by = (d[1] + d[e + 1] - d[low + 1] - d[high + 1]) * r
+    bz = (d[2] + d[e + 2] - d[low + 2] - d[high + 2]) * r
+    o = 3 * n
+    e, low, high = o + e, o + low, o + high
+    ux, uy, uz = (d[e] - d[o]) * m, (d[e + 1] - d[o + 1]) * m, (d[e + 2] - d[o + 2]) * m
+    wx = (d[o] + d[e] - d[low] - d[high]) * r
+    wy = (d[o + 1] + d[e + 1] - d[low + 1] - d[high + 1]) * r
+    wz = (d[o + 2] + d[e + 2] - d[low + 2] - d[high + 2]) * r
+    # whole (s, v), slope (a, u), bend (b, w)
+    cx, cy, cz = _cross(sx, sy, sz, ax, ay, az)
+    gx, gy, gz = _cross(sx, sy, sz, ux, uy, uz)
+    hx, hy, hz = _cross(vx, vy, vz, ax, ay, az)
+    lx, ly, lz = _cross(cx, cy, cz, ux, uy, uz)
+    kx, ky, kz = _cross(gx + hx, gy + hy, gz + hz, ax, ay, az)
+    lx, ly, lz = lx + kx, ly + ky, lz + kz
+    cx, cy, cz = _cross(sx, sy, sz, bx, by, bz)
+    gx, gy, gz = _cross(sx, sy, sz, wx, wy, wz)
+    hx, hy, hz = _cross(vx, vy, vz, bx, by, bz)
+    kx, ky, kz = _cross(sx, sy, sz, gx + hx, gy + hy, gz + hz)
+    hx, hy, hz = _cross(vx, vy, vz, cx, cy, cz)
+    return lx / 240.0 + (kx + hx) / 360.0, ly / 240.0 + (ky + hy) / 360.0, lz / 240.0 + (kz + hz) / 360.0
 
 
 @kernel
@@ -66,6 +103,9 @@ def increments(d: Vector, n: int, inc: Vector) -> None:
         gz += k * ((ax * wy - ay * wx) + (ux * by - uy * bx))
     px, py, pz = sx + bx + cx, sy + by + cy, sz + bz + cz
     vx, vy, vz = vx + wx + gx, vy + wy + gy, vz + wz + gz
+    if n > 2:
+        gx, gy, gz = _third_order(d, n, sx + bx, sy + by, sz + bz, vx - gx, vy - gy, vz - gz)
+        vx, vy, vz = vx + gx, vy + gy, vz + gz
     a2 = px * px + py * py + pz * pz
     if a2 < 0.01:
         # series to the sixth power: truncation below 1e-14

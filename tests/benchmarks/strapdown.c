@@ -76,6 +76,42 @@ static quat exponential(double x, double y, double z) {
     return q;
 }
 
+typedef struct { double x, y, z; } vec;
+
+static vec sub_scaled(const double *a, const double *b, double m) {
+    vec r = {(a[0] - b[0]) * m, (a[1] - b[1]) * m, (a[2] - b[2]) * m};
+    return r;
+}
+
+static vec bend(const double *a, int e, int low, int high, double m) {
+    vec r = {(a[0] + a[e] - a[low] - a[high]) * m, (a[1] + a[e + 1] - a[low + 1] - a[high + 1]) * m,
+             (a[2] + a[e + 2] - a[low + 2] - a[high + 2]) * m};
+    return r;
+}
+
+static vec cross(vec a, vec b) {
+    vec r = {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+    return r;
+}
+
+static vec add(vec a, vec b) {
+    vec r = {a.x + b.x, a.y + b.y, a.z + b.z};
+    return r;
+}
+
+static vec third_order(const double *d, int n, vec s, vec v) {
+    static const double BEND[7] = {0, 0, 0, 2.0, 4.0, 8.0, 12.0};
+    double m = (double)(n * n) / (n - 1), r = n * n * n / BEND[n];
+    int e = 3 * (n - 1), low = 3 * ((n - 1) / 2), high = 3 * (n / 2);
+    const double *o = d + 3 * n;
+    vec a = sub_scaled(d + e, d, m), b = bend(d, e, low, high, r);
+    vec u = sub_scaled(o + e, o, m), w = bend(o, e, low, high, r);
+    vec l = add(cross(cross(s, a), u), cross(add(cross(s, u), cross(v, a)), a));
+    vec k = add(cross(s, add(cross(s, w), cross(v, b))), cross(v, cross(s, b)));
+    vec g = {l.x / 240.0 + k.x / 360.0, l.y / 240.0 + k.y / 360.0, l.z / 240.0 + k.z / 360.0};
+    return g;
+}
+
 static void increments(const double *d, int n, double *inc) {
     int e = 3 * (n - 1), f = 6 * n - 3;
     double bx = d[e], by = d[e + 1], bz = d[e + 2], wx = d[f], wy = d[f + 1], wz = d[f + 2];
@@ -95,6 +131,11 @@ static void increments(const double *d, int n, double *inc) {
     }
     double px = sx + bx + cx, py = sy + by + cy, pz = sz + bz + cz, first, second;
     vx = vx + wx + gx, vy = vy + wy + gy, vz = vz + wz + gz;
+    if (n > 2) {
+        vec s = {sx + bx, sy + by, sz + bz}, v = {vx - gx, vy - gy, vz - gz};
+        vec g = third_order(d, n, s, v);
+        vx = vx + g.x, vy = vy + g.y, vz = vz + g.z;
+    }
     double a2 = px * px + py * py + pz * pz;
     if (a2 < 0.01) {
         first = 0.5 - a2 / 24.0 * (1.0 - a2 / 30.0 * (1.0 - a2 / 56.0));
