@@ -11,6 +11,7 @@ from nav.align.compass import ONCE, RAPID
 from nav.align.inertial import ALL, DOUBLE, SINGLE
 from nav.align.level import LEVEL
 from nav.align.match import MATCH
+from nav.align.moving_compass import MOVING
 from nav.align.static import COARSE, FINE
 from nav.align.types import (
     AlignConfig,
@@ -29,6 +30,7 @@ ALIGNMENTS: Final[dict[str, Alignment]] = {
     "motion": Alignment(needs=frozenset({"gnss"}), stages=(LEVEL, MATCH)),
     "gyrocompass": Alignment(needs=frozenset(), stages=(ONCE,)),
     "rapid_gyrocompass": Alignment(needs=frozenset(), stages=(RAPID,)),
+    "moving_gyrocompass": Alignment(needs=frozenset({"odometer"}), stages=(MOVING,)),
     "inertial_single": Alignment(needs=frozenset(), stages=(SINGLE,)),
     "inertial": Alignment(needs=frozenset(), stages=(DOUBLE,)),
     "inertial_wahba": Alignment(needs=frozenset(), stages=(ALL,)),

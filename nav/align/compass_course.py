@@ -196,13 +196,14 @@ def end_leg(course: Course) -> str | None:
     if course.leg < len(course.plan):
         if course.ledger is not None:
             course.ledger.turn()
-        if course.plan[course.leg].kind == COMPASS and leg.kind != COMPASS:
+        coarse = any(each.kind == AZIMUTH for each in course.plan)
+        if coarse and course.plan[course.leg].kind == COMPASS and leg.kind != COMPASS:
             course.ledger = open_ledger(course)
     return reason
 
 
 def turn_to_north(course: Course) -> str | None:
-    """Coarse azimuth, eqs. (2-26) and (2-27), on the move (2-45) and (2-46); or why there is none.
+    """Coarse azimuth, eqs. (2-26) and (2-27); or why there is none.
 
     The velocity of the platform that was let go, less that of the one that was kept level, has grown with
     the square of time.
@@ -218,12 +219,17 @@ def turn_to_north(course: Course) -> str | None:
             f"levelled axes felt {felt:.2f} of Earth's north rate: "
             "the vehicle turns or is shaken, or calibration or latitude are wrong"
         )
-    turn = quat_from_rotvec([0.0, 0.0, math.atan2(sine, cosine)])
+    turn_about_up(course, math.atan2(sine, cosine))
+    return None
+
+
+def turn_about_up(course: Course, angle: float) -> None:
+    """Turn what the loops take for east and north by ``angle`` rad."""
+    turn = quat_from_rotvec([0.0, 0.0, angle])
     course.x[X_Q : X_Q + 4] = quat_multiply(turn, course.x[X_Q : X_Q + 4])
     course.x[X_V : X_V + 3] = quat_rotate(turn, course.x[X_V : X_V + 3])
     # the integrators hold the level part of Earth's rate, which is in the kernel from now on
     course.law[L_P] = 0.0
-    return None
 
 
 def coarse_sigma(config: AlignConfig, earth: Place, leg: Leg, seconds: float) -> float:

@@ -1,0 +1,304 @@
+"""The last pass of the moving gyrocompass: weights by covariance in place of fixed gains.
+
+The loops take a change of the accelerometers' errors in n for Earth's rate: in a turn the constant error of
+an accelerometer turns with the vehicle, and eq. (2-17) says what that costs, 0.16 deg for 50 ug turned by
+90 deg in 5 min. So the loops only lead up to a last pass over the stored data, in which the same
+velocity is corrected by a Kalman filter that has the sensors' errors among its states: what turns with
+the vehicle is an error of a sensor, what does not is tilt and heading.
+
+The odometer counts the way, so the way is what is compared: a tick more or less is then an error of one
+instant, where as a velocity it would be one of every second. States, true minus estimate: position (m)
+and velocity (m/s) in n, phi (rad), gyro and accelerometer bias in b, odometer scale (1), mounting
+about right and up of the vehicle (rad), way (m), level part of Earth's rate in n (rad/s).
+
+The last of these are for a first pass while heading is not known: n then has some azimuth that nobody
+knows, and what it does not know of Earth's rate is two constants of n. That takes the place of eq. (2-45),
+which sees the rate only in the velocity at the end, beside every error of level that turns on the way made.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from nav.align.compass_loop import SAMPLES
+from nav.align.types import AlignConfig
+from nav.jit import kernel
+from nav.rotation import quat_from_rotvec, quat_multiply, skew
+from nav.strapdown.control import U_SIZE, U_WC
+from nav.strapdown.kernels import (
+    M_C,
+    M_EN,
+    M_F,
+    M_IE,
+    M_K,
+    M_SIZE,
+    M_V,
+    X_Q,
+    X_V,
+    increments,
+    strapdown,
+    take,
+)
+from nav.types import Vector
+
+POS, VEL, TILT, EPS, NAB = (slice(k, k + 3) for k in range(0, 15, 3))
+SCALE: Final = 15
+PITCH: Final = 16
+YAWED: Final = 17  # mounting about up
+WAY: Final = 18
+RATE: Final = slice(19, 21)
+SIZE: Final = 21
+
+BLOCK_S: Final = 1.0
+ROLL: Final = 0.003  # m per root of a metre: what the way gains or loses on a road
+SIDEWAYS: Final = 0.01  # s: velocity across the vehicle per level acceleration, by slip and suspension
+SIGMAS: Final = 6.0
+SLIPS: Final = 3  # in a row are too many
+FIRST: Final = (0.3, math.radians(0.5), math.radians(3.0))  # m/s, level, heading: far wider than the loops
+
+# Sums over a block: C_nb dt, velocity of the odometer's point in v times dt, C_vn [v x] dt, f_n dt, w_in dt,
+# transport tensor dt, seconds.
+_S_C: Final = 0
+_S_WAY: Final = 9
+_S_TURN: Final = 12
+_S_F: Final = 21
+_S_IN: Final = 24
+_S_CORIOLIS: Final = 27
+_S_K: Final = 30
+_S_DT: Final = 33
+S_SIZE: Final = 34
+
+
+@kernel
+def track(
+    x: Vector,
+    rows: Vector,
+    dt: Vector,
+    bias: Vector,
+    rate: Vector,
+    C_vb: Vector,
+    arm: Vector,
+    n: int,
+    sums: Vector,
+) -> None:
+    """Navigate freely through samples and add to the ``sums`` (S_SIZE,) of a block; ``x`` is the kernel's.
+
+    ``rows`` (k, 6) and ``dt`` (k,) as in `nav.align.compass_loop.run`; ``bias`` (6,) of gyros and
+    accelerometers is taken off, n turns by ``rate`` (2,) rad/s about its level axes beside; ``C_vb`` (3, 3),
+    ``arm`` (3,) m from IMU to the odometer's point in b.
+    """
+    d = np.empty(6 * n)
+    inc = np.empty(6)
+    mid = np.empty(M_SIZE)
+    u = np.zeros(U_SIZE)
+    u[U_WC], u[U_WC + 1] = rate[0], rate[1]
+    i = 0
+    while i < rows.shape[0]:
+        m = n if i + n <= rows.shape[0] else 1
+        take(rows, i, m, d)
+        step = 0.0
+        for j in range(m):
+            for k in range(3):
+                d[3 * j + k] -= bias[k] * dt[i + j]
+                d[3 * (m + j) + k] -= bias[3 + k] * dt[i + j]
+            step += dt[i + j]
+        i += m
+        increments(d, m, inc)
+        strapdown(x, inc, step, u, mid)
+        vx, vy, vz = mid[M_V], mid[M_V + 1], mid[M_V + 2]
+        # velocity of the odometer's point in b: of the IMU, and what turning adds
+        px = (inc[1] * arm[2] - inc[2] * arm[1]) / step
+        py = (inc[2] * arm[0] - inc[0] * arm[2]) / step
+        pz = (inc[0] * arm[1] - inc[1] * arm[0]) / step
+        px += mid[M_C] * vx + mid[M_C + 3] * vy + mid[M_C + 6] * vz
+        py += mid[M_C + 1] * vx + mid[M_C + 4] * vy + mid[M_C + 7] * vz
+        pz += mid[M_C + 2] * vx + mid[M_C + 5] * vy + mid[M_C + 8] * vz
+        for r in range(3):
+            cx, cy, cz = C_vb[r, 0], C_vb[r, 1], C_vb[r, 2]
+            sums[_S_WAY + r] += (cx * px + cy * py + cz * pz) * step
+            # row of C_vn
+            ex = cx * mid[M_C] + cy * mid[M_C + 1] + cz * mid[M_C + 2]
+            ey = cx * mid[M_C + 3] + cy * mid[M_C + 4] + cz * mid[M_C + 5]
+            ez = cx * mid[M_C + 6] + cy * mid[M_C + 7] + cz * mid[M_C + 8]
+            sums[_S_TURN + 3 * r] += (ey * vz - ez * vy) * step
+            sums[_S_TURN + 3 * r + 1] += (ez * vx - ex * vz) * step
+            sums[_S_TURN + 3 * r + 2] += (ex * vy - ey * vx) * step
+        for k in range(9):
+            sums[_S_C + k] += mid[M_C + k] * step
+        for k in range(3):
+            sums[_S_F + k] += mid[M_F + k] * step
+            sums[_S_IN + k] += (mid[M_IE + k] + mid[M_EN + k]) * step
+            sums[_S_CORIOLIS + k] += (2.0 * mid[M_IE + k] + mid[M_EN + k]) * step
+            sums[_S_K + k] += mid[M_K + k] * step
+        sums[_S_DT] += step
+
+
+class Weights:
+    """The filter and the state ``x`` of the kernel that it corrects.
+
+    ``x`` is the state at the start of the pass, ``way`` m what the odometer's path says there. ``blind``
+    rad/s is Earth's north rate where the azimuth of n is not known, else zero.
+    """
+
+    def __init__(self, config: AlignConfig, x: Vector, way: float, blind: float = 0.0) -> None:
+        self.config = config
+        self.x = x
+        self.bias = np.zeros(6)
+        self.shift = np.zeros(3)  # m in n, correction of the place
+        self.scale = 0.0
+        self.mounting = np.zeros(2)
+        self.way = 0.0  # since the start, by the inertial sensors
+        self.start = way
+        self.sums = np.zeros(S_SIZE)
+        self.rate = np.zeros(2)
+        self.turned = 0.0  # rad, by how much heading was corrected
+        self.slips = 0
+        C_vb = config.C_vb
+        assert C_vb is not None
+        self.C_vb = np.ascontiguousarray(C_vb)
+        sigma = np.zeros(SIZE)
+        sigma[VEL] = FIRST[0]
+        sigma[TILT] = FIRST[1], FIRST[1], FIRST[2]
+        if blind:
+            # the azimuth of n is what it is
+            sigma[TILT.stop - 1] = 0.0
+            sigma[RATE] = 2.0 * blind
+        sigma[EPS], sigma[NAB] = config.gyro_bias, config.accel_bias
+        sigma[SCALE] = config.odometer_scale
+        sigma[PITCH] = sigma[YAWED] = config.sigma_mounting
+        self.quantum = math.hypot(config.odometer_quantum / math.sqrt(12.0), 1e-3)
+        sigma[WAY] = self.quantum
+        self.P = np.diag(sigma**2)
+
+    def go(self, rows: Vector, dt: Vector) -> None:
+        """Navigate through samples (k, 6) over ``dt`` (k,) s, within a block."""
+        arm = self.config.odometer_lever_arm
+        track(self.x, rows, dt, self.bias, self.rate, self.C_vb, arm, SAMPLES, self.sums)
+
+    @property
+    def seconds(self) -> float:
+        """Length of the open block."""
+        return float(self.sums[_S_DT])
+
+    def close(self, path: float | None) -> str | None:
+        """End the block; ``path`` m by the odometer there, None: not known. What is wrong, or None."""
+        sums, tau = self.sums, self.seconds
+        if tau == 0.0:
+            return None
+        self.sums = np.zeros(S_SIZE)
+        C = sums[_S_C : _S_C + 9].reshape(3, 3)
+        J = self.C_vb @ C.T  # C_vn dt
+        M = sums[_S_TURN : _S_TURN + 9].reshape(3, 3)
+        F = np.zeros((SIZE, SIZE))  # times tau
+        F[POS, VEL] = np.eye(3) * tau
+        F[VEL, VEL] = -skew(sums[_S_CORIOLIS : _S_CORIOLIS + 3])
+        F[VEL, TILT] = -skew(sums[_S_F : _S_F + 3])
+        F[VEL, NAB] = -C
+        kxx, kxy, kyy = sums[_S_K : _S_K + 3]
+        # an error of velocity, true minus estimate, turns n by less than it should
+        F[TILT.start : TILT.start + 2, VEL.start : VEL.start + 2] = [[kxy, kyy], [-kxx, -kxy]]
+        F[TILT, TILT] = -skew(sums[_S_IN : _S_IN + 3])
+        F[TILT, EPS] = -C
+        F[TILT.start, RATE.start] = F[TILT.start + 1, RATE.start + 1] = -tau
+        F[WAY, VEL], F[WAY, TILT] = J[1], M[1]
+        transition = np.eye(SIZE) + F + 0.5 * F @ F
+        config = self.config
+        q = np.zeros(SIZE)
+        q[VEL], q[TILT] = config.velocity_random_walk**2, config.angle_random_walk**2
+        rolled = abs(float(sums[_S_WAY + 1]))
+        q[WAY] = ROLL**2 * rolled / tau
+        Q = np.diag(q * (0.5 * tau))
+        self.P = transition @ (self.P + Q) @ transition.T + Q
+        self.way += float(sums[_S_WAY + 1])
+        if path is None:
+            return None
+        return self._update(sums, tau, np.eye(SIZE) - 0.5 * F, J / tau, M / tau, path - self.start)
+
+    def _update(
+        self, sums: Vector, tau: float, back: Vector, J: Vector, M: Vector, path: float
+    ) -> str | None:
+        config = self.config
+        speed = float(sums[_S_WAY + 1]) / tau
+        H = np.zeros((3, SIZE))
+        H[0, WAY], H[0, SCALE] = 1.0, -path
+        H[1, VEL], H[1, TILT], H[1, YAWED] = J[0], M[0], speed
+        H[2, VEL], H[2, TILT], H[2, PITCH] = J[2], M[2], -speed
+        H[1:] = H[1:] @ back
+        z = np.array(
+            [
+                path * (1.0 + self.scale) - self.way,
+                -sums[_S_WAY] / tau - speed * self.mounting[1],
+                -sums[_S_WAY + 2] / tau + speed * self.mounting[0],
+            ]
+        )
+        level = math.hypot(sums[_S_F], sums[_S_F + 1]) / tau
+        across = math.hypot(config.slip, SIDEWAYS * level)
+        noise = np.array([self.quantum**2, across**2, across**2])
+        error = np.zeros(SIZE)
+        reason = None
+        for k in range(3):
+            h = H[k]
+            Ph = self.P @ h
+            S = float(h @ Ph) + noise[k]
+            innovation = float(z[k] - h @ error)
+            if innovation * innovation > SIGMAS**2 * S:
+                reason = self._refused(k, innovation, math.sqrt(S), speed, path)
+                if k == 0:
+                    continue
+            else:
+                if k == 0:
+                    self.slips = 0
+            gain = Ph / S
+            if innovation * innovation <= SIGMAS**2 * S:
+                error += gain * innovation
+                self.P -= np.outer(gain, Ph)
+        self.P = 0.5 * (self.P + self.P.T)
+        self._feed(error)
+        return reason
+
+    def _refused(self, k: int, innovation: float, sigma: float, speed: float, path: float) -> str | None:
+        """An innovation that cannot be: begin the way anew behind a slip; too many in a row are a reason."""
+        self.slips += 1
+        if k == 0:
+            # the way by the odometer goes on from here
+            self.way = path * (1.0 + self.scale)
+            self.P[WAY, :] = 0.0
+            self.P[:, WAY] = 0.0
+            self.P[WAY, WAY] = (0.5 * BLOCK_S) ** 2
+        if self.slips < SLIPS:
+            return None
+        if k == 0:
+            return (
+                f"the wheels slip: their way is {abs(innovation):.2f} m off what the inertial sensors saw "
+                f"at {speed:.1f} m/s, {sigma:.2f} m are expected"
+            )
+        side = "sideways" if k == 1 else "upwards"
+        return (
+            f"the vehicle seems to move {side} at {abs(innovation):.2f} m/s: "
+            "it slides, an inertial sensor is wrong, or it is not mounted as configured"
+        )
+
+    def _feed(self, error: Vector) -> None:
+        x = self.x
+        self.shift += error[POS]
+        x[X_V : X_V + 3] += error[VEL]
+        x[X_Q : X_Q + 4] = quat_multiply(quat_from_rotvec(error[TILT]), x[X_Q : X_Q + 4])
+        self.bias += error[EPS.start : NAB.stop]
+        self.scale += float(error[SCALE])
+        self.mounting += error[[PITCH, YAWED]]
+        self.way += float(error[WAY])
+        self.rate += error[RATE]
+        self.turned += float(error[TILT][2])
+
+    def north(self, assumed: float) -> tuple[float, float, float]:
+        """Angle (rad) by which n has to turn about up to be east and north, its sigma, the rate felt (rad/s).
+
+        After a blind pass, in which n was taken for that; ``assumed`` rad/s is Earth's north rate.
+        """
+        x, y = float(self.rate[0]), float(self.rate[1]) + assumed
+        felt = math.hypot(x, y)
+        across = np.array([y, -x]) / felt**2
+        return math.atan2(x, y), math.sqrt(float(across @ self.P[RATE, RATE] @ across)), felt
