@@ -229,10 +229,18 @@ class Navigator:
                 return
             if silent > 0.5e9 * s.dt + 1e6 or (s.flags & _GAP and silent > 0.0):
                 self._silence(last, silent, t)
-        self._imu_ns = t
+                if self.mode is Mode.FAULT:
+                    self._imu_ns = t
+                    return
         if self._runs:
+            # an alignment goes on with what it gathered; a state that is no number ends navigation
+            if not math.isfinite(float(s.dtheta.sum() + s.dv.sum())):
+                self._events.append(Refusal(t, s.device, "invalid"))
+                return
+            self._imu_ns = t
             self._aligning(s)
             return
+        self._imu_ns = t
         pending = self._pending
         pending.append(s)
         if len(pending) < self._samples:
@@ -263,9 +271,6 @@ class Navigator:
         if self._runs:
             # the alignment's stages judge gaps by the times of their samples
             return
-        pending, self._pending = self._pending, []
-        if pending:
-            self._timeline.advance(last, sum(sample.dt for sample in pending), 1.0, pending)
         if silent > self.config.gap_limit * 1e9:
             # it may stand or be on its way: whichever alignment can end takes over
             names = [self.config.alignment, "motion"]
@@ -274,6 +279,12 @@ class Navigator:
                 del names[0]
             self._align(t, f"no inertial data for {silent * 1e-9:.1f} s", *names)
             return
+        pending, self._pending = self._pending, []
+        if pending:
+            duration = sum(sample.dt for sample in pending)
+            if self._timeline.advance(last, duration, 1.0, pending) is None:
+                self._change(last, Mode.FAULT, "the state is not finite")
+                return
         self._timeline.rest[:] = 0.0
         self._timeline.bridge(last + round(silent), silent * 1e-9)
         self._gap_ns = t
