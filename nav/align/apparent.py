@@ -146,19 +146,31 @@ def _advance(row: Vector, inc: Vector, dt: float) -> None:
     row[0] += dt
 
 
-def present(track: Tracker, then: Vector, q_gb: Vector, w_ie_g: Vector) -> Vector:
-    """q_gb (4,) now, from ``q_gb`` at the row ``then`` and the gyros since; ``w_ie_g`` (3,) rad/s."""
+def present(track: Tracker, then: Vector, q_gb: Vector, w_ie_g: Vector, moved: Vector) -> Vector:
+    """q_gb (4,) now, from ``q_gb`` at the row ``then`` and the gyros since.
+
+    ``w_ie_g`` (3,) rad/s; ``moved`` (3,) rad: how far g has turned since by moving over the Earth.
+    """
     out = np.empty(4)
-    _present(track.row, track.d, track.waiting, then, q_gb, w_ie_g, out)
+    _present(track.row, track.d, track.waiting, then, q_gb, w_ie_g, moved, out)
     return out
 
 
 @kernel
 def _present(
-    row: Vector, d: Vector, waiting: Vector, then: Vector, q_gb: Vector, w_ie_g: Vector, out: Vector
+    row: Vector,
+    d: Vector,
+    waiting: Vector,
+    then: Vector,
+    q_gb: Vector,
+    w_ie_g: Vector,
+    moved: Vector,
+    out: Vector,
 ) -> None:
     dt = row[0] + waiting[1] - then[0]
-    w, x, y, z = exponential(-w_ie_g[0] * dt, -w_ie_g[1] * dt, -w_ie_g[2] * dt)
+    w, x, y, z = exponential(
+        -w_ie_g[0] * dt - moved[0], -w_ie_g[1] * dt - moved[1], -w_ie_g[2] * dt - moved[2]
+    )
     w, x, y, z = multiply(w, x, y, z, q_gb[0], q_gb[1], q_gb[2], q_gb[3])
     w, x, y, z = multiply(w, x, y, z, then[1], -then[2], -then[3], -then[4])
     w, x, y, z = multiply(w, x, y, z, row[1], row[2], row[3], row[4])

@@ -58,6 +58,7 @@ START_SPEED: Final = 1.0  # m/s, standard deviation of the velocity at the start
 PLACE: Final = 0.2  # m, standard deviation of the displacement at the start
 SWAY_S: Final = 0.05  # displacement over velocity of a sway that no epoch averages out
 _EYE: Final = np.eye(3)
+_ZERO: Final = np.zeros(3)
 _NONE: Final = np.zeros((3, 3))
 _SQUARE: Final = 1.0 / 12.0 - 0.5 / math.pi**2  # mean square of the seconds in a window of one second
 
@@ -134,7 +135,7 @@ def _step(state: Sway, sample: Sample, twice: bool, vectors: bool) -> tuple[Sway
     if status.estimate is None or status.done or state.track is None or state.book is None:
         return state, status
     # the base moves between epochs
-    q_gb = present(state.track, state.book.row, status.estimate, earth_rate_g(state.place[0]))
+    q_gb = present(state.track, state.book.row, status.estimate, earth_rate_g(state.place[0]), _ZERO)
     return state, AlignStatus(q_gb, status.covariance, status.limit, status.progress, False)
 
 

@@ -1,0 +1,372 @@
+"""Alignment of a driving vehicle by its odometer, in the inertial frame.
+
+Yan Gongmin 2008, section 3.2: specific force without what the odometer says of the motion leaves gravity,
+whose drift seen from the frame of the gyros gives north. Eq. (3-16) integrates exactly, no velocity is
+differentiated and none has to be smooth:
+
+    int C_b0b f = C_b0b v - v(0) + int C_b0b (w_ie x v) - int C_b0b g
+
+and integrated once more, C_b0b v is distance rolled, as the ticks count it, and v(0) an unknown constant.
+What the printed method neglects before eq. (3-19) is known in b0 as soon as it matters: ``w_ie`` is the
+filter's own polar axis times a displacement, so the term is linear in the rotation sought; gravity turns with
+the displacement over the radius of the Earth. So there is nothing to go over again: what a second pass would
+put in is in the first, and the displacement in b0 is the dead reckoning that gives the place at the end,
+turned by the attitude found.
+
+Scale factor and mounting of the odometer and the biases of gyros and accelerometers are estimated with the
+rotation. In a turn the accelerometer bias turns with the vehicle and would look like a drift of gravity.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from nav.align import constant
+from nav.align import still as watch
+from nav.align.apparent import (
+    A_P,
+    A_T,
+    A_V,
+    C_i0g,
+    Tracker,
+    add,
+    at,
+    attitude,
+    gravity_integrals,
+    polar_axis,
+    present,
+    tracker,
+)
+from nav.align.apparent_result import attitude_now, contradiction, hand_over, poor_gyros, velocity_now
+from nav.align.constant import OFFSET, POS, START, VEL, WHEEL, Solved
+from nav.align.disturbance import Held, Window, held, spread, stuck, weigh, window
+from nav.align.epochs import Book, bring, take
+from nav.align.level import level_dcm
+from nav.align.rolled import Reckoning, gravity_change, transport
+from nav.align.static import PATIENCE_S, limits
+from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
+from nav.earth import (
+    EARTH_RATE,
+    earth_rate_g,
+    ecef,
+    gravity_g,
+    position_matrix,
+    xyz_to_geodetic,
+)
+from nav.rotation import quat_from_dcm, skew
+from nav.types import GnssFix, ImuSample, OdoSample, Sample, Vector
+
+EPOCH_S: Final = 3.0
+GAP_S: Final = (0.4, 0.8)  # mean pause between epochs, and how far pauses are spread
+START_SPEED: Final = 50.0  # m/s
+PLACE: Final = 5.0  # m: what rolled before the first whole interval of the odometer
+FLOOR: Final = 0.002  # m, of an epoch
+SLIPPED: Final = 0.3  # m
+SLIP_S: Final = 1.0  # seconds that a slip across the vehicle lasts
+LOST_S: Final = 0.5  # s without odometer samples
+UNMOUNTED: Final = 0.1  # rad, of a mounting that is not given
+_EYE: Final = np.eye(3)
+_ZERO: Final = np.zeros(3)
+_DF, _DR, _DU = slice(3, 6), slice(6, 9), slice(9, 12)
+_DD: Final = slice(12, 15)
+_SQUARE: Final = (1.0 / 12.0 - 0.5 / math.pi**2) * EPOCH_S**2  # mean square of the seconds in an epoch
+
+
+class Ride(NamedTuple):
+    """State of the stage."""
+
+    config: AlignConfig
+    hold: Held
+    axes: Vector  # (3, 3) columns: right, forward, up of the vehicle in b
+    place: tuple[float, float, float] | None  # at the beginning
+    sigma_p: Vector
+    waited: float = 0.0
+    track: Tracker | None = None
+    reckoning: Reckoning | None = None
+    pending: tuple[OdoSample, ...] = ()
+    book: Book | None = None
+    over: Vector = _ZERO  # displacement at the last epoch
+    moved: Vector = _ZERO  # rad, east-north-up has turned since by moving over the Earth
+    middle: Vector | None = None
+    over_middle: Vector = _ZERO
+    window: Window | None = None
+    solved: Solved | None = None
+    status: AlignStatus | None = None
+    now: tuple[float, float, float] = (0.0, 0.0, 0.0)  # place at the last epoch
+    t_ns: int = 0
+
+
+def init(config: AlignConfig, given: NavInit | None) -> Ride:
+    """Begin with nothing known but the mounting."""
+    axes = _EYE if config.C_vb is None else config.C_vb.T
+    return Ride(config, held(), axes, config.position, np.full(3, config.sigma_position))
+
+
+def _duration(config: AlignConfig) -> float:
+    return config.coarse_s + config.fine_s
+
+
+def _blank(config: AlignConfig, place: tuple[float, float, float] | None) -> AlignStatus:
+    lat, height = (place[0], place[2]) if place is not None else (0.8, 0.0)
+    limit = limits(config, lat, height, _duration(config))
+    return AlignStatus(None, np.diag([1.0, 1.0, math.pi**2]), limit, 0.0, False)
+
+
+def _begin(state: Ride, sample: ImuSample) -> tuple[Ride, str | None]:
+    config, place = state.config, state.place
+    if place is None:
+        waited = state.waited + sample.dt
+        reason = None
+        if waited > PATIENCE_S:
+            reason = "no position: no GNSS fix came and the configuration gives none"
+        return state._replace(waited=waited, status=_blank(config, None)), reason
+    t_ns = sample.t_ns - round(sample.dt * 1e9)
+    track = tracker(t_ns)
+    sigma = UNMOUNTED if config.C_vb is None else config.sigma_mounting
+    wheel = np.array([config.odometer_scale, sigma, sigma])
+    estimate = constant.begin(config, START_SPEED, PLACE, wheel)
+    zero = _ZERO
+    row = track.row.copy()
+    state = state._replace(
+        track=track,
+        reckoning=Reckoning(row, t_ns, zero, zero, zero, zero, zero, zero, zero, zero),
+        book=Book(estimate, row),
+        status=_blank(config, place),
+        now=place,
+    )
+    return state, poor_gyros(config, place[0], _duration(config))
+
+
+def step(state: Ride, sample: Sample) -> tuple[Ride, AlignStatus]:
+    """Work in inertial and odometer samples; a position may come from GNSS."""
+    reason = None
+    if isinstance(sample, GnssFix):
+        if state.place is None:
+            # the attitude is not known: the lever arm is part of the position's error
+            sigma = np.hypot(sample.sigma_position, float(np.linalg.norm(state.config.gnss_lever_arm)))
+            state = state._replace(place=(sample.lat, sample.lon, sample.height), sigma_p=sigma)
+    elif isinstance(sample, OdoSample):
+        if state.track is not None:
+            state = state._replace(pending=(*state.pending, sample))
+            state, reason = _roll(state)
+    elif isinstance(sample, ImuSample):
+        reason = watch.fault(sample) or stuck(state.hold, sample.dv, sample.dt)
+        if reason is None and state.track is None:
+            state, reason = _begin(state, sample)
+        if reason is None and state.track is not None:
+            state, reason = _add(state, state.track, sample)
+    status = state.status
+    if status is None:
+        status = _blank(state.config, None)
+    if reason is not None:
+        return state, status._replace(done=False, refusal=reason)
+    if status.estimate is None or status.done or state.track is None or state.book is None:
+        return state, status
+    q_gb = present(state.track, state.book.row, status.estimate, earth_rate_g(state.now[0]), state.moved)
+    return state, AlignStatus(q_gb, status.covariance, status.limit, status.progress, False)
+
+
+def _add(state: Ride, track: Tracker, sample: ImuSample) -> tuple[Ride, str | None]:
+    ahead = float(track.row[A_T] + track.waiting[1]) + sample.dt
+    end = ahead > _duration(state.config) - 1e-6
+    add(*track, sample.dtheta, sample.dv, sample.dt, sample.t_ns, end)
+    reason = None
+    if state.pending:
+        state, reason = _roll(state)
+    assert state.reckoning is not None
+    if sample.t_ns - state.reckoning.t_ns > LOST_S * 1e9:
+        reason = reason or "no odometer samples"
+    if end and reason is None:
+        state, reason = _end(state._replace(t_ns=sample.t_ns), track.row)
+    return state, reason
+
+
+def _roll(state: Ride) -> tuple[Ride, str | None]:
+    """Work in the odometer samples whose time the inertial ones have reached."""
+    pending, reason, track = state.pending, None, state.track
+    assert track is not None
+    while pending and reason is None:
+        row = at(track, pending[0].t_ns)
+        if row is None:
+            if pending[0].t_ns <= int(track.times[0]):
+                pending = pending[1:]  # from before the beginning
+                continue
+            break
+        state, reason = _reckon(state, row, pending[0])
+        pending = pending[1:]
+    return state._replace(pending=pending), reason
+
+
+def _reckon(state: Ride, row: Vector, sample: OdoSample) -> tuple[Ride, str | None]:
+    """Go on by one odometer sample."""
+    old, config, book = state.reckoning, state.config, state.book
+    assert old is not None
+    assert book is not None
+    assert state.place is not None
+    h = float(row[A_T] - old.row[A_T])
+    if h <= 0.0:
+        return state, None
+    if h > sample.dt + LOST_S:
+        return state, f"odometer samples are missing: {h:.1f} s without"
+    C = attitude(row)
+    C_mid = 0.5 * (attitude(old.row) + C) @ state.axes * sample.distance
+    ahead, right, up = old.ahead + C_mid[:, 1], old.right + C_mid[:, 0], old.up + C_mid[:, 2]
+    imu = ahead - (C - _EYE) @ config.odometer_lever_arm
+    went = imu - old.imu
+    axis, level = _frame(state, row)
+    over = old.over + went + h * EARTH_RATE * np.cross(axis, old.over + 0.5 * went)
+    # gravity turns with the place, and falls off with height
+    pull = level @ (gravity_change(state.place[0], state.place[2]) @ (level.T @ over))
+    drop = old.drop + h * pull
+    area = old.area + 0.5 * h * (old.imu + imu)
+    fall = old.fall + 0.5 * h * (old.drop + drop)
+    new = Reckoning(row, sample.t_ns, ahead, right, up, imu, area, over, drop, fall)
+    moved = transport(state.now, level.T @ (over - state.over))
+    state = state._replace(reckoning=new, moved=moved)
+    frame, t = state.window, float(row[A_T])
+    if frame is None:
+        begin = t + spread(book.taken, *GAP_S)
+        return state._replace(window=window(begin, EPOCH_S, 15), middle=None), None
+    values = np.concatenate([row[A_P : A_P + 3] - imu - fall, ahead, right, up, area])
+    weigh(frame.sums, frame.begin, frame.length, t, values)
+    if state.middle is None and t >= frame.middle:
+        state = state._replace(middle=row, over_middle=over)
+    if t < frame.begin + frame.length or state.middle is None:
+        return state, None
+    return _close(state, state.middle, frame)
+
+
+def _frame(state: Ride, row: Vector) -> tuple[Vector, Vector]:
+    """The Earth's axis (3,) and C_b0g (3, 3) of the start, turned on with it, as far as they are known."""
+    assert state.place is not None
+    if state.solved is None:
+        # nothing but the vertical: the displacement of half a minute asks for no more
+        return np.zeros(3), level_dcm(row[A_V : A_V + 3]).T
+    lat = state.place[0]
+    C_b0i0 = state.solved.C
+    return C_b0i0 @ polar_axis(lat), C_b0i0 @ C_i0g(lat, lat, 0.0, float(row[A_T]))
+
+
+def _close(state: Ride, row: Vector, frame: Window) -> tuple[Ride, str | None]:
+    """An epoch: mean displacement beyond what was rolled, against gravity's."""
+    config, book, place = state.config, state.book, state.place
+    assert book is not None
+    assert place is not None
+    lat, _, height = place
+    seconds = float(row[A_T])
+    early, square, mean = frame.mean()
+    offset = frame.middle - seconds
+    early += offset
+    square += offset * (2.0 * early - offset)
+    once, twice = gravity_integrals(lat, height, seconds)
+    g_i0 = C_i0g(lat, lat, 0.0, seconds) @ gravity_g(lat, height)
+    further = -EARTH_RATE * skew(mean[_DD])
+    H = constant.design(twice + once * early - 0.5 * square * g_i0, further, polar_axis(lat))
+    H[:, POS], H[:, VEL], H[:, OFFSET] = -_EYE, -early * _EYE, _EYE
+    H[:, START] = -(seconds + early) * _EYE
+    wheel = np.stack([mean[_DF], mean[_DR], mean[_DU]], axis=1)
+    H[:, WHEEL] = wheel
+    z = mean[0:3]
+    seconds += early
+    # smooth but for ticks and slip: epochs are equally long, and scale and mounting are taken off
+    curved = 0.5 * (square - _SQUARE) / seconds
+    bare = z - curved * row[A_V : A_V + 3] - wheel @ book.estimate.x[WHEEL]
+    across = attitude(row) @ state.axes[:, [0, 2]] * config.slip
+    walk = SLIP_S * across @ across.T
+    book, moved = take(book, config, row, seconds, bare, H, z, walk, FLOOR)
+    state = state._replace(book=book, window=None, over=state.over_middle)
+    if moved > SLIPPED:
+        return state, f"wheel slip: the odometer is {moved:.1f} m off what the accelerometers say"
+    if not book.settled:
+        return _progressing(state, seconds), None
+    return _solve(state, False)
+
+
+def _progressing(state: Ride, seconds: float) -> Ride:
+    assert state.status is not None
+    progress = min(1.0, seconds / _duration(state.config))
+    return state._replace(status=state.status._replace(progress=progress))
+
+
+def _end(state: Ride, row: Vector) -> tuple[Ride, str | None]:
+    """Bring the last epoch's estimate to the last sample."""
+    assert state.book is not None
+    if not state.book.settled:
+        return state, f"{_duration(state.config):.0f} s are too short to tell ticks from gravity"
+    book = bring(state.book, state.config, row, np.zeros((3, 3)))
+    return _solve(state._replace(book=book), True)
+
+
+def _solve(state: Ride, done: bool) -> tuple[Ride, str | None]:
+    book, place, old = state.book, state.place, state.status
+    assert book is not None
+    assert place is not None
+    assert old is not None
+    row = book.row
+    solved = constant.attitude_of_all(book.estimate)
+    if solved is None:
+        return state, "what was measured does not fix an attitude" if done else None
+    state = state._replace(solved=solved)
+    now = _place(state, row)
+    since = math.remainder(now[1] - place[1], 2.0 * math.pi)
+    C_gb, P_phi = attitude_now(solved, row, place[0], now[0], since)
+    progress = min(1.0, float(row[A_T]) / _duration(state.config))
+    status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, progress, done)
+    reason = contradiction(book.estimate, solved, place[0])
+    return state._replace(status=status, now=now), reason
+
+
+def _went(state: Ride, row: Vector) -> Vector:
+    """Displacement (3,) m over the Earth since the beginning, east, north, up of the start, up to a row."""
+    assert state.solved is not None
+    assert state.reckoning is not None
+    assert state.place is not None
+    lat, seconds = state.place[0], float(row[A_T])
+    reckoning, solved = state.reckoning, state.solved
+    scale, heading, pitch = solved.x[WHEEL]
+    _, level = _frame(state, row)
+    over = reckoning.over * (1.0 + scale)
+    # sideways by the mounting in heading, upwards by that in pitch
+    over = over + heading * np.cross(reckoning.over, level[:, 2]) + pitch * reckoning.up
+    over = over + _velocity(state, row) * (seconds - float(reckoning.row[A_T]))
+    return np.asarray((solved.C @ C_i0g(lat, lat, 0.0, seconds)).T @ over)
+
+
+def _place(state: Ride, row: Vector) -> tuple[float, float, float]:
+    assert state.place is not None
+    lat, lon, height = state.place
+    r_e = ecef(lat, lon, height) + position_matrix(lat, lon) @ _went(state, row)
+    return xyz_to_geodetic(float(r_e[0]), float(r_e[1]), float(r_e[2]))
+
+
+def _velocity(state: Ride, row: Vector) -> Vector:
+    assert state.solved is not None
+    assert state.reckoning is not None
+    assert state.place is not None
+    once, _ = gravity_integrals(state.place[0], state.place[2], float(row[A_T]))
+    axis, _ = _frame(state, row)
+    known = EARTH_RATE * np.cross(axis, state.reckoning.imu) + state.reckoning.drop
+    return velocity_now(state.solved, row, once, known)
+
+
+def finish(state: Ride) -> NavInit:
+    """Attitude, velocity, biases and the place reached, at the last sample."""
+    assert state.solved is not None
+    assert state.book is not None
+    assert state.place is not None
+    assert state.reckoning is not None
+    assert state.status is not None
+    row, config, solved = state.book.row, state.config, state.solved
+    v_b0 = _velocity(state, row)
+    once, _ = gravity_integrals(state.place[0], state.place[2], float(row[A_T]))
+    gone = float(np.linalg.norm(state.reckoning.over))
+    # scale, mounting and heading turn or stretch all that was rolled
+    spread2 = np.diag(solved.P)[WHEEL.start - 6 : WHEEL.stop - 6].sum() + state.status.covariance[2, 2]
+    sigma_p = np.hypot(state.sigma_p, gone * math.sqrt(float(spread2)))
+    return hand_over(config, solved, row, state.t_ns, state.place, state.now, sigma_p, v_b0, once)
+
+
+ODOMETER: Final = Stage(init=init, step=step, finish=finish)
