@@ -12,6 +12,7 @@ from nav.align.inertial import ALL, DOUBLE, SINGLE
 from nav.align.level import LEVEL
 from nav.align.match import MATCH
 from nav.align.moving_compass import MOVING
+from nav.align.odometer import ODOMETER
 from nav.align.static import COARSE, FINE
 from nav.align.types import (
     AlignConfig,
@@ -34,6 +35,7 @@ ALIGNMENTS: Final[dict[str, Alignment]] = {
     "inertial_single": Alignment(needs=frozenset(), stages=(SINGLE,)),
     "inertial": Alignment(needs=frozenset(), stages=(DOUBLE,)),
     "inertial_wahba": Alignment(needs=frozenset(), stages=(ALL,)),
+    "odometer": Alignment(needs=frozenset({"odometer"}), stages=(ODOMETER,)),
 }
 
 __all__ = [
