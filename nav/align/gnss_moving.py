@@ -1,0 +1,387 @@
+"""Alignment in motion by GNSS: apparent velocity in the inertial frame.
+
+Yan Gongmin 2008, section 3.3: what the accelerometers integrate to in b0 (eq. (3-26a)) against what velocity,
+place and gravity ask for in i0 (eq. (3-26b), recursively from fix to fix, integrated by parts so that no
+velocity is differentiated). The accuracy is that of the velocity at single epochs, and a stop has an exact
+one: zero. Where a receiver gives no velocity its positions are compared instead, once more integrated, their
+lasting error estimated.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from nav.align import constant
+from nav.align import still as watch
+from nav.align.apparent import (
+    A_P,
+    A_T,
+    A_V,
+    W_E,
+    Inertial,
+    Tracker,
+    add,
+    at,
+    attitude,
+    change,
+    felt,
+    inertial,
+    present,
+    reach,
+    tracker,
+    turn,
+)
+from nav.align.apparent_result import (
+    attitude_now,
+    contradiction,
+    hand_over,
+    imu_place,
+    poor_gyros,
+    velocity_now,
+)
+from nav.align.constant import OFFSET, POS, START, VEL, WHEEL, Estimate, Solved
+from nav.align.disturbance import Held, held, stuck
+from nav.align.epochs import SETTLE_S
+from nav.align.static import PATIENCE_S, limits
+from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
+from nav.earth import earth_rate_g, position_matrix, radii, transport_rate_g
+from nav.rotation import quat_from_dcm, rotvec_from_quat
+from nav.types import FixType, GnssFix, ImuSample, OdoSample, Sample, Vector
+
+START_SPEED: Final = 100.0  # m/s
+SPACING_S: Final = 0.45  # fixes that come sooner tell little more
+LASTS_S: Final = 200.0  # s that the slow error of GNSS positions lasts
+ODD: Final = 30.0  # chi-square of three degrees of freedom of an epoch that is left out
+MOST_ODD: Final = 5  # such epochs in a row
+QUIET_RATE: Final = math.radians(0.1)  # rad/s
+QUIET_FORCE: Final = 0.03  # m/s^2, change from epoch to epoch
+QUIET_S: Final = 2.5  # s of both before it may be a stop
+CREEP: Final = 0.1  # m/s that a velocity may show at rest
+CREPT: Final = 1.0  # m that positions may go in a stop
+REST: Final = 0.003  # m/s, of a stop
+LEVER_S: Final = 0.04  # s over which the antenna's swing is taken
+_EYE: Final = np.eye(3)
+_ZERO: Final = np.zeros(3)
+
+
+class Rest(NamedTuple):
+    """What tells a stop: since when inertial sensors are quiet, and where that was."""
+
+    force: Vector = _ZERO  # of the last epoch, m/s^2, b
+    since: float = math.inf  # s
+    place: Vector = _ZERO  # m, Earth-fixed axes of the start
+    rolled: float | None = None  # m since the last epoch, where there is an odometer
+
+
+class Drive(NamedTuple):
+    """State of the stage."""
+
+    config: AlignConfig
+    hold: Held
+    fix: GnssFix | None = None  # the last good one
+    waited: float = 0.0
+    track: Tracker | None = None
+    path: Inertial | None = None
+    pending: tuple[GnssFix, ...] = ()
+    estimate: Estimate | None = None
+    row: Vector | None = None  # at the last epoch
+    rest: Rest = Rest()
+    odd: int = 0
+    solved: Solved | None = None
+    status: AlignStatus | None = None
+    v_g: Vector = _ZERO
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the antenna at the last epoch
+    t_ns: int = 0
+
+
+def init(config: AlignConfig, given: NavInit | None) -> Drive:
+    """Begin with nothing known."""
+    return Drive(config, held())
+
+
+def _duration(config: AlignConfig) -> float:
+    return config.coarse_s + config.fine_s
+
+
+def _blank(config: AlignConfig, lat: float, height: float) -> AlignStatus:
+    limit = limits(config, lat, height, _duration(config))
+    return AlignStatus(None, np.diag([1.0, 1.0, math.pi**2]), limit, 0.0, False)
+
+
+def _begin(state: Drive, sample: ImuSample) -> tuple[Drive, str | None]:
+    config, fix = state.config, state.fix
+    if fix is None:
+        waited = state.waited + sample.dt
+        reason = "no position: no GNSS fix came" if waited > PATIENCE_S else None
+        return state._replace(waited=waited, status=_blank(config, 0.8, 0.0)), reason
+    track = tracker(sample.t_ns - round(sample.dt * 1e9))
+    sigma = float(np.max(fix.sigma_position))
+    far = np.full(3, sigma + float(np.linalg.norm(config.gnss_lever_arm)) + PATIENCE_S)
+    path = inertial(fix.lat, fix.lon, fix.height)
+    state = state._replace(
+        track=track,
+        path=path,
+        # the place at the beginning, a constant, takes the states that an odometer would use
+        estimate=constant.begin(config, START_SPEED, sigma, far),
+        row=track.row.copy(),
+        rest=Rest(since=0.0, place=path.r_0),
+        status=_blank(config, fix.lat, fix.height),
+        place=(fix.lat, fix.lon, fix.height),
+    )
+    return state, poor_gyros(config, fix.lat, _duration(config))
+
+
+def step(state: Drive, sample: Sample) -> tuple[Drive, AlignStatus]:
+    """Work in inertial samples and fixes; an odometer, where there is one, tells stops."""
+    reason = None
+    if isinstance(sample, GnssFix):
+        if sample.fix_type >= FixType.FIX_3D:
+            if state.track is None:
+                state = state._replace(fix=sample)
+            else:
+                state, reason = _fixes(state._replace(pending=(*state.pending, sample)))
+    elif isinstance(sample, OdoSample):
+        rolled = (state.rest.rolled or 0.0) + abs(sample.distance)
+        state = state._replace(rest=state.rest._replace(rolled=rolled))
+    elif isinstance(sample, ImuSample):
+        reason = watch.fault(sample) or stuck(state.hold, sample.dv, sample.dt)
+        if reason is None and state.track is None:
+            state, reason = _begin(state, sample)
+        if reason is None and state.track is not None:
+            state, reason = _add(state, state.track, sample)
+    status = state.status
+    if status is None:
+        status = _blank(state.config, 0.8, 0.0)
+    if reason is not None:
+        return state, status._replace(done=False, refusal=reason)
+    if status.estimate is None or status.done or state.track is None or state.row is None:
+        return state, status
+    q_gb = present(state.track, state.row, status.estimate, _w_in_g(state), _ZERO)
+    return state, AlignStatus(q_gb, status.covariance, status.limit, status.progress, False)
+
+
+def _w_in_g(state: Drive) -> Vector:
+    lat, _, height = state.place
+    return earth_rate_g(lat) + transport_rate_g(lat, height, state.v_g)
+
+
+def _add(state: Drive, track: Tracker, sample: ImuSample) -> tuple[Drive, str | None]:
+    assert state.row is not None
+    ahead = float(track.row[A_T] + track.waiting[1]) + sample.dt
+    # from then on the end may come with any sample
+    late = ahead > _duration(state.config) - 1e-6
+    add(*track, sample.dtheta, sample.dv, sample.dt, sample.t_ns, late)
+    reason = None
+    if state.pending:
+        state, reason = _fixes(state)
+    assert state.row is not None
+    if ahead - float(state.row[A_T]) > PATIENCE_S:
+        reason = reason or f"no GNSS for {PATIENCE_S:.0f} s"
+    found = None if state.status is None else float(state.status.covariance[2, 2])
+    if late and reason is None and found is not None and found < state.config.sigma_heading**2:
+        state, reason = _end(state._replace(t_ns=sample.t_ns), track.row)
+    return state, reason
+
+
+def _fixes(state: Drive) -> tuple[Drive, str | None]:
+    """Work in the fixes whose time the inertial samples have reached."""
+    pending, reason, track = state.pending, None, state.track
+    assert track is not None
+    while pending and reason is None:
+        fix = pending[0]
+        t_ns = fix.t_ns
+        if fix.v_g is not None:
+            t_ns -= round(state.config.gnss_velocity_age * 1e9)
+        row = at(track, t_ns)
+        if row is None and t_ns > int(track.times[0]):
+            break
+        pending = pending[1:]
+        if row is not None:
+            state, reason = _epoch(state, track, row, t_ns, fix)
+    return state._replace(pending=pending), reason
+
+
+def _epoch(state: Drive, track: Tracker, row: Vector, t_ns: int, fix: GnssFix) -> tuple[Drive, str | None]:
+    """One fix: where it puts the motion in i0, and what the filter makes of that."""
+    config, path, last, old = state.config, state.path, state.fix, state.row
+    assert path is not None
+    assert last is not None
+    assert old is not None
+    assert state.estimate is not None
+    seconds = float(row[A_T])
+    dt = seconds - float(old[A_T])
+    if dt < SPACING_S:
+        return state, None
+    place = (fix.lat, fix.lon, fix.height)
+    if fix.v_g is not None:
+        jump = _jump(last, fix)
+        if jump is not None:
+            return _odd(state, f"GNSS jumped by {jump:.0f} m against its own velocity")
+        place = _moved(place, -config.gnss_velocity_age * fix.v_g)
+    path, r = reach(path, *place, seconds)
+    v_i = None
+    since = math.remainder(place[1] - path.lon, 2.0 * math.pi)
+    if fix.v_g is not None:
+        v_i = turn(seconds) @ (position_matrix(place[0], since) @ fix.v_g) + np.cross(W_E, r)
+    e = constant.predict(
+        state.estimate,
+        change(old, row),
+        config,
+        2.0 / LASTS_S * float(fix.sigma_position[0]) ** 2 * _EYE,
+        LASTS_S,
+    )
+    rest, stopped = _stopped(state, old, row, turn(seconds).T @ r, fix)
+    lever = config.gnss_lever_arm
+    H = np.zeros((3, constant.SIZE))
+    if stopped or v_i is not None:
+        once, _ = felt(path, r, None if stopped else v_i)
+        H = constant.design(once)
+        H[:, VEL], H[:, START] = -_EYE, -_EYE
+        z = row[A_V : A_V + 3].copy()
+        R = max(config.sway, REST) ** 2 * _EYE
+        if not stopped:
+            assert fix.sigma_velocity is not None
+            z += _swing(track, row, t_ns, lever)
+            R = _round(row, fix.sigma_velocity)
+    else:
+        _, twice = felt(path, r, None)
+        H = constant.design(twice)
+        H[:, POS], H[:, START], H[:, OFFSET], H[:, WHEEL] = -_EYE, -seconds * _EYE, _EYE, _EYE
+        z = row[A_P : A_P + 3] + (attitude(row) - _EYE) @ lever
+        R = _round(row, fix.sigma_position)
+    state = state._replace(path=path, estimate=e, row=row, rest=rest, place=place)
+    if seconds > SETTLE_S and constant.innovation(e, H, z, R).chi2 > ODD:
+        return _odd(state, "GNSS jumped: fixes contradict the accelerometers")
+    state = state._replace(estimate=constant.update(e, H, z, R), fix=fix, odd=0)
+    if seconds < SETTLE_S:
+        assert state.status is not None
+        progress = min(0.99, seconds / _duration(config))
+        return state._replace(status=state.status._replace(progress=progress)), None
+    return _solve(state, False)
+
+
+def _odd(state: Drive, reason: str) -> tuple[Drive, str | None]:
+    """Leave a fix out; too many in a row are no outliers."""
+    return state._replace(odd=state.odd + 1), reason if state.odd + 1 >= MOST_ODD else None
+
+
+def _jump(last: GnssFix, fix: GnssFix) -> float | None:
+    """By how much (m) positions went another way than velocities say, or None where that is their noise."""
+    if fix.v_g is None or last.v_g is None:
+        return None
+    dt = (fix.t_ns - last.t_ns) * 1e-9
+    r_m, r_n = radii(math.sin(fix.lat))
+    d = np.array(
+        [
+            math.remainder(fix.lon - last.lon, 2.0 * math.pi) * math.cos(fix.lat) * r_n,
+            (fix.lat - last.lat) * r_m,
+            fix.height - last.height,
+        ]
+    )
+    miss = d - 0.5 * dt * (fix.v_g + last.v_g)
+    slack = 6.0 * np.hypot(fix.sigma_position, last.sigma_position) + 2.0 * dt
+    return float(np.linalg.norm(miss)) if bool(np.any(np.abs(miss) > slack)) else None
+
+
+def _moved(place: tuple[float, float, float], d: Vector) -> tuple[float, float, float]:
+    """Place (rad, rad, m) a few metres ``d`` (3,) east, north, up of another."""
+    r_m, r_n = radii(math.sin(place[0]))
+    east = float(d[0]) / ((r_n + place[2]) * math.cos(place[0]))
+    return place[0] + float(d[1]) / (r_m + place[2]), place[1] + east, place[2] + float(d[2])
+
+
+def _round(row: Vector, sigma: Vector) -> Vector:
+    """Covariance (3, 3) in b0 of an error as large in all level directions."""
+    up = row[A_V : A_V + 3] / np.linalg.norm(row[A_V : A_V + 3])
+    level = float(max(sigma[0], sigma[1])) ** 2
+    return level * _EYE + (float(sigma[2]) ** 2 - level) * np.outer(up, up)
+
+
+def _swing(track: Tracker, row: Vector, t_ns: int, lever: Vector) -> Vector:
+    """Velocity (3,) m/s, b0, of the antenna against the IMU."""
+    before = at(track, t_ns - round(LEVER_S * 1e9))
+    if before is None:
+        return _ZERO
+    return np.asarray((attitude(row) - attitude(before)) @ lever / (row[A_T] - before[A_T]))
+
+
+def _stopped(state: Drive, old: Vector, row: Vector, r_e: Vector, fix: GnssFix) -> tuple[Rest, bool]:
+    """Whether the vehicle has stood since the last epoch, and what is to be remembered for the next."""
+    rest, seconds = state.rest, float(row[A_T])
+    C_old, C = attitude(old), attitude(row)
+    dt = seconds - float(old[A_T])
+    force = C.T @ (row[A_V : A_V + 3] - old[A_V : A_V + 3]) / dt
+    rate = float(np.linalg.norm(rotvec_from_quat(quat_from_dcm(C_old.T @ C)))) / dt
+    steady = seconds < 2.0 * dt or float(np.linalg.norm(force - rest.force)) < QUIET_FORCE
+    quiet = rate < QUIET_RATE and steady
+    rolled = None if rest.rolled is None else 0.0
+    if not quiet:
+        return Rest(force, math.inf, _ZERO, rolled), False
+    begin, place = (rest.since, rest.place) if math.isfinite(rest.since) else (seconds, r_e)
+    new = Rest(force, begin, place, rolled)
+    if rest.rolled is not None:
+        return new, rest.rolled == 0.0
+    if fix.v_g is not None and fix.sigma_velocity is not None:
+        speed = float(np.linalg.norm(fix.v_g[0:2]))
+        return new, speed < CREEP + 3.0 * float(np.max(fix.sigma_velocity[0:2]))
+    gone = float(np.linalg.norm(r_e - place))
+    limit = CREPT + 0.5 * float(np.max(fix.sigma_position[0:2]))
+    return new, seconds - begin > QUIET_S and gone < limit
+
+
+def _solve(state: Drive, done: bool) -> tuple[Drive, str | None]:
+    row, e, path, old = state.row, state.estimate, state.path, state.status
+    assert row is not None
+    assert e is not None
+    assert path is not None
+    assert old is not None
+    solved = constant.attitude_of_all(e)
+    if solved is None:
+        return state, None
+    since = math.remainder(state.place[1] - path.lon, 2.0 * math.pi)
+    C_gb, P_phi = attitude_now(solved, row, path.lat, state.place[0], since)
+    v_b0, _ = _velocity(state, solved, row)
+    progress = 1.0 if done else min(0.99, float(row[A_T]) / _duration(state.config))
+    status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, progress, done)
+    v_g = C_gb @ attitude(row).T @ v_b0
+    return state._replace(solved=solved, status=status, v_g=v_g), contradiction(e, solved, path.lat)
+
+
+def _velocity(state: Drive, solved: Solved, row: Vector) -> tuple[Vector, Vector]:
+    """Velocity in b0 at a row, and what gravity asks for there in i0."""
+    assert state.path is not None
+    path, r = reach(state.path, *state.place, float(row[A_T]))
+    u, _ = felt(path, r, None)
+    return velocity_now(solved, row, u, _ZERO), u
+
+
+def _end(state: Drive, row: Vector) -> tuple[Drive, str | None]:
+    """Bring the last epoch's estimate and place to the last sample."""
+    assert state.row is not None
+    assert state.estimate is not None
+    dt = float(row[A_T] - state.row[A_T])
+    e = constant.predict(state.estimate, change(state.row, row), state.config, np.zeros((3, 3)), LASTS_S)
+    place = _moved(state.place, dt * state.v_g)
+    return _solve(state._replace(estimate=e, row=row.copy(), place=place), True)
+
+
+def finish(state: Drive) -> NavInit:
+    """Attitude, velocity, biases and place at the last sample."""
+    assert state.solved is not None
+    assert state.row is not None
+    assert state.path is not None
+    assert state.fix is not None
+    assert state.status is not None
+    C_gb = attitude_now(state.solved, state.row, state.path.lat, state.place[0], 0.0)[0]
+    v_b0, u = _velocity(state, state.solved, state.row)
+    antenna = np.array(state.place)
+    place = imu_place(antenna, C_gb @ state.config.gnss_lever_arm)
+    sigma_p = np.asarray(state.fix.sigma_position, dtype=np.float64)
+    start = (state.path.lat, state.path.lon, 0.0)
+    return hand_over(state.config, state.solved, state.row, state.t_ns, start, place, sigma_p, v_b0, u)
+
+
+GNSS: Final = Stage(init=init, step=step, finish=finish)
