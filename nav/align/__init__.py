@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from nav.align.compass import ONCE, RAPID
+from nav.align.gnss_moving import GNSS
 from nav.align.inertial import ALL, DOUBLE, SINGLE
 from nav.align.level import LEVEL
 from nav.align.match import MATCH
@@ -36,6 +37,7 @@ ALIGNMENTS: Final[dict[str, Alignment]] = {
     "inertial": Alignment(needs=frozenset(), stages=(DOUBLE,)),
     "inertial_wahba": Alignment(needs=frozenset(), stages=(ALL,)),
     "odometer": Alignment(needs=frozenset({"odometer"}), stages=(ODOMETER,)),
+    "gnss": Alignment(needs=frozenset({"gnss"}), stages=(GNSS,)),
 }
 
 __all__ = [
