@@ -45,6 +45,7 @@ PRESENT: Final = math.inf
 
 BATCH: Final = 50  # samples that wait for each other while they come in
 FIRST_S: Final = 1.0  # of which the mean specific force is the first vertical
+LEVEL_PERIOD: Final = 60.0  # s, damped period of the level loop beside the azimuth loop
 FEELS: Final = (0.4, 1.8)  # of Earth's north rate that a coarse azimuth may have felt
 
 
@@ -104,8 +105,8 @@ def gains(leg: Leg, earth: Place, seconds: float) -> tuple[LevelGains, AzimuthGa
     if leg.kind != COMPASS:
         return level_gains(sign * decay(leg.period), earth.gravity), None
     sigma = decay(leg.period + leg.growth * seconds)
-    # the level loops are faster than the azimuth loop
-    level = max(sigma, decay(min(leg.period, 20.0)))
+    # the level loops are faster than the azimuth loop, but slow enough not to follow the base's motion
+    level = max(sigma, decay(LEVEL_PERIOD))
     return level_gains(sign * level, earth.gravity), azimuth_gains(sign * sigma, earth.gravity)
 
 
@@ -179,6 +180,15 @@ def go(course: Course, piece: Piece, velocity: Vector) -> None:
         begin = (int(piece.t_ns[0]) - first_ns(course)) * 1e-9 - float(piece.dt[0])
         course.ledger.advance(level, azimuth, begin, seconds, leg.ahead)
     course.seconds += seconds
+    course.at += len(piece.dt) if leg.ahead else -len(piece.dt)
+
+
+def go_free(course: Course, piece: Piece) -> None:
+    """Lead the state through a piece without any control; on the way back that undoes the way ahead."""
+    leg = course.plan[course.leg]
+    set_free(course.law, 0.0)
+    lead(course.x, course.law, piece.rows, piece.dt, np.zeros((len(piece.dt), 3)), leg.ahead)
+    course.seconds += float(piece.dt.sum())
     course.at += len(piece.dt) if leg.ahead else -len(piece.dt)
 
 

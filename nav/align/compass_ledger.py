@@ -31,7 +31,7 @@ from nav.align.types import AlignConfig
 from nav.types import Vector
 
 TICK_S: Final = 1.0
-GROUP: Final = 5  # seconds that share an entry: short against every period of the loops
+SWAY_S: Final = 1.0  # correlation time of the base's motion
 _START, _CONSTANT, _NOISE = slice(0, STATES), slice(STATES, STATES + INPUTS), STATES + INPUTS
 _DOUBLINGS: Final = 5
 
@@ -83,7 +83,7 @@ class Ledger:
 
     def _tick(self, level: LevelGains, azimuth: AzimuthGains | None, begin: float, ahead: bool) -> None:
         phi, gamma = _transition(self._at, level, azimuth, TICK_S if ahead else -TICK_S)
-        first = _NOISE + INPUTS * int(begin / (GROUP * TICK_S))
+        first = _NOISE + INPUTS * int(begin / TICK_S)
         if first + INPUTS > self._book.shape[1]:
             more = np.zeros((STATES, first + INPUTS - self._book.shape[1]))
             self._book = np.hstack([self._book, more])
@@ -103,9 +103,9 @@ class Ledger:
         for part, sigma in (
             (EPS, config.angle_random_walk),
             (NABLA, config.velocity_random_walk),
-            (BASE, config.sway),
+            (BASE, config.sway * math.sqrt(2.0 * SWAY_S)),
         ):
-            weights = book[:, :, part].reshape(STATES, -1) * (sigma / math.sqrt(GROUP * TICK_S))
+            weights = book[:, :, part].reshape(STATES, -1) * (sigma / math.sqrt(TICK_S))
             P += weights @ weights.T
         return np.asarray(P)
 

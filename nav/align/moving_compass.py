@@ -29,6 +29,7 @@ from nav.align.compass_course import (
     first_ns,
     first_state,
     go,
+    go_free,
     is_over,
     next_piece,
     phi_covariance,
@@ -49,15 +50,16 @@ from nav.types import FixType, GnssFix, ImuSample, OdoSample, Sample, Vector
 
 BLIND: Final = "blind"
 WEIGH: Final = "weigh"
+RETURN: Final = "return"
 SMOOTH_NS: Final = 500_000_000  # on either side: ticks are averaged to a velocity
 AHEAD_NS: Final = 1_000_000_000  # of the way for the first velocity
 MISSING_NS: Final = 1_000_000_000  # without the odometer
 OPENING: Final = 0.2  # of the time, at least, to find a coarse azimuth
 LEVELLING: Final = 0.35  # of that to level: 1.2 damped periods, before a coarse azimuth is looked for
 PERIOD: Final = 0.75  # damped period per time
-FEELS: Final = 0.5  # of Earth's north rate, by which it may be missed
+FEELS: Final = 0.1  # of Earth's north rate, by which it may be missed
 KNOWN: Final = math.radians(20.0)  # sigma of a coarse azimuth that will do
-ASTRAY: Final = math.radians(6.0)  # of heading that the last pass may put right
+ASTRAY: Final = math.radians(1.5)  # of heading that the last pass may put right without another one
 
 
 def plan(config: AlignConfig) -> tuple[Leg, ...]:
@@ -84,6 +86,7 @@ class Drive:
     fix: GnssFix | None = None
     weights: Weights | None = None
     coarse: Vector | None = None  # covariance of phi after the coarse azimuth
+    over: bool = False  # the last pass has come to the present, and nothing speaks against it
     seconds: float = 0.0  # since it was last asked whether a sensor is stuck
 
 
@@ -220,18 +223,22 @@ def _work(drive: Drive) -> str | None:
         used, reason = 0, None
         if len(piece.dt):
             if weighs:
-                reason, used = _weigh(drive, piece)
+                used = _weigh(drive, piece)
             else:
-                go(course, piece, velocities(course.config, path, piece))
+                if course.plan[course.leg].kind == RETURN:
+                    go_free(course, piece)
+                else:
+                    go(course, piece, velocities(course.config, path, piece))
                 used = len(piece.dt)
             left -= used
             moved = True
-        over = course.plan[course.leg].until != PRESENT and is_over(course)
+        present = course.plan[course.leg].until == PRESENT
+        over = course.at >= imu.number(path.last_ns) if present else is_over(course)
         if reason is None and over:
             reason = _conclude(drive)
         if reason is not None:
             return reason
-        if not used and not over:
+        if drive.over or not (used or over):
             break
     if moved:
         course.status = _status(drive)
@@ -244,12 +251,15 @@ def _conclude(drive: Drive) -> str | None:
     earth = course.earth
     assert earth is not None
     reason = None
+    drive.over = course.leg + 1 == len(course.plan)
+    if drive.over:
+        return _judge(drive)
     if course.plan[course.leg].kind == BLIND:
         assert drive.weights is not None
         angle, sigma, felt = drive.weights.north(earth.north)
         if sigma > KNOWN:
             reason = f"heading is known to {math.degrees(sigma):.0f} deg only after the coarse azimuth"
-        elif abs(felt / earth.north - 1.0) > FEELS:
+        elif abs(felt / earth.north - 1.0) > FEELS + 6.0 * sigma:
             reason = (
                 f"levelled axes felt {felt / earth.north:.2f} of Earth's north rate: "
                 "calibration or latitude are wrong"
@@ -265,6 +275,24 @@ def _conclude(drive: Drive) -> str | None:
         drive.weights = Weights(course.config, course.x, float(way[0]), earth.north)
     elif kind == WEIGH:
         _begin_weighing(drive)
+    return reason
+
+
+def _judge(drive: Drive) -> str | None:
+    """Whether the last pass may be believed; one more where it had to put right what is not small."""
+    course, weights = drive.course, drive.weights
+    assert weights is not None
+    again = any(leg.kind == RETURN for leg in course.plan)
+    if not again and (abs(weights.turned) > ASTRAY or weights.reason is not None):
+        # slip led the loops astray: from what came out of it back to the start, and once more
+        course.plan = (*course.plan, Leg(RETURN, False, 0.0, 0.0), course.plan[-1])
+        course.leg += 1
+        course.seconds = 0.0
+        drive.over = False
+        return None
+    reason = weights.doubt()
+    if reason is None and abs(weights.turned) > ASTRAY:
+        reason = f"two passes over the same way differ by {math.degrees(weights.turned):.1f} deg of heading"
     return reason
 
 
@@ -288,8 +316,8 @@ def _begin_weighing(drive: Drive) -> None:
     drive.weights = Weights(config, course.x, float(way[0]))
 
 
-def _weigh(drive: Drive, piece: Piece) -> tuple[str | None, int]:
-    """Go to the end of the block or of the piece; what is wrong, or None, and how many samples it took."""
+def _weigh(drive: Drive, piece: Piece) -> int:
+    """Go to the end of the block or of the piece; how many samples that took."""
     course, weights = drive.course, drive.weights
     assert weights is not None
     seconds = weights.seconds + np.cumsum(piece.dt)
@@ -297,15 +325,9 @@ def _weigh(drive: Drive, piece: Piece) -> tuple[str | None, int]:
     weights.go(piece.rows[:used], piece.dt[:used])
     course.at += used
     course.seconds += float(piece.dt[:used].sum())
-    if weights.seconds < BLOCK_S - 1e-6:
-        return None, used
-    path = float(way_at(drive.path, piece.t_ns[used - 1 : used])[0])
-    reason = weights.close(path)
-    if reason is None and abs(weights.turned) > ASTRAY:
-        reason = (
-            f"the last pass turns heading by {math.degrees(weights.turned):.1f} deg: the loops went astray"
-        )
-    return reason, used
+    if weights.seconds >= BLOCK_S - 1e-6:
+        weights.close(float(way_at(drive.path, piece.t_ns[used - 1 : used])[0]))
+    return used
 
 
 def _status(drive: Drive, reason: str | None = None) -> AlignStatus:
@@ -322,7 +344,7 @@ def _status(drive: Drive, reason: str | None = None) -> AlignStatus:
         covariance=covariance,
         limit=limits(config, lat, height, config.coarse_s + config.fine_s),
         progress=progress(course),
-        done=last and course.at >= waiting and reason is None,
+        done=drive.over and course.at >= waiting and reason is None,
         refusal=reason,
         behind=bool(len(course.x)) and waiting - course.at >= config.replay_samples,
     )

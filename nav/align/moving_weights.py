@@ -56,7 +56,9 @@ BLOCK_S: Final = 1.0
 ROLL: Final = 0.003  # m per root of a metre: what the way gains or loses on a road
 SIDEWAYS: Final = 0.01  # s: velocity across the vehicle per level acceleration, by slip and suspension
 SIGMAS: Final = 6.0
+DOUBT: Final = 4.0
 SLIPS: Final = 3  # in a row are too many
+UNSURE: Final = 1e-7  # rad/s: Earth's rate about north where latitude is off by a tenth of a degree
 FIRST: Final = (0.3, math.radians(0.5), math.radians(3.0))  # m/s, level, heading: far wider than the loops
 
 # Sums over a block: C_nb dt, velocity of the odometer's point in v times dt, C_vn [v x] dt, f_n dt, w_in dt,
@@ -155,7 +157,9 @@ class Weights:
         self.sums = np.zeros(S_SIZE)
         self.rate = np.zeros(2)
         self.turned = 0.0  # rad, by how much heading was corrected
-        self.slips = 0
+        self.slips = 0  # innovations refused in a row
+        self.slipped = 0  # times that the way was begun anew
+        self.reason: str | None = None  # what was wrong with the way or the sensors
         C_vb = config.C_vb
         assert C_vb is not None
         self.C_vb = np.ascontiguousarray(C_vb)
@@ -166,6 +170,9 @@ class Weights:
             # the azimuth of n is what it is
             sigma[TILT.stop - 1] = 0.0
             sigma[RATE] = 2.0 * blind
+        else:
+            # of latitude, which is not this wrong, but then it shows
+            sigma[RATE.stop - 1] = UNSURE
         sigma[EPS], sigma[NAB] = config.gyro_bias, config.accel_bias
         sigma[SCALE] = config.odometer_scale
         sigma[PITCH] = sigma[YAWED] = config.sigma_mounting
@@ -183,11 +190,11 @@ class Weights:
         """Length of the open block."""
         return float(self.sums[_S_DT])
 
-    def close(self, path: float | None) -> str | None:
-        """End the block; ``path`` m by the odometer there, None: not known. What is wrong, or None."""
+    def close(self, path: float | None) -> None:
+        """End the block; ``path`` m by the odometer there, None: not known."""
         sums, tau = self.sums, self.seconds
         if tau == 0.0:
-            return None
+            return
         self.sums = np.zeros(S_SIZE)
         C = sums[_S_C : _S_C + 9].reshape(3, 3)
         J = self.C_vb @ C.T  # C_vn dt
@@ -213,13 +220,10 @@ class Weights:
         Q = np.diag(q * (0.5 * tau))
         self.P = transition @ (self.P + Q) @ transition.T + Q
         self.way += float(sums[_S_WAY + 1])
-        if path is None:
-            return None
-        return self._update(sums, tau, np.eye(SIZE) - 0.5 * F, J / tau, M / tau, path - self.start)
+        if path is not None:
+            self._update(sums, tau, np.eye(SIZE) - 0.5 * F, J / tau, M / tau, path - self.start)
 
-    def _update(
-        self, sums: Vector, tau: float, back: Vector, J: Vector, M: Vector, path: float
-    ) -> str | None:
+    def _update(self, sums: Vector, tau: float, back: Vector, J: Vector, M: Vector, path: float) -> None:
         config = self.config
         speed = float(sums[_S_WAY + 1]) / tau
         H = np.zeros((3, SIZE))
@@ -238,28 +242,28 @@ class Weights:
         across = math.hypot(config.slip, SIDEWAYS * level)
         noise = np.array([self.quantum**2, across**2, across**2])
         error = np.zeros(SIZE)
-        reason = None
+        refused = False
         for k in range(3):
             h = H[k]
             Ph = self.P @ h
             S = float(h @ Ph) + noise[k]
             innovation = float(z[k] - h @ error)
             if innovation * innovation > SIGMAS**2 * S:
-                reason = self._refused(k, innovation, math.sqrt(S), speed, path)
+                refused = True
+                self._refuse(k, innovation, math.sqrt(S), speed, path)
                 if k == 0:
                     continue
-            else:
-                if k == 0:
-                    self.slips = 0
+                # believed so far that it is at the edge: a filter that refuses all is lost
+                S = innovation * innovation / SIGMAS**2
             gain = Ph / S
-            if innovation * innovation <= SIGMAS**2 * S:
-                error += gain * innovation
-                self.P -= np.outer(gain, Ph)
+            error += gain * innovation
+            self.P -= np.outer(gain, Ph)
+        if not refused:
+            self.slips = 0
         self.P = 0.5 * (self.P + self.P.T)
         self._feed(error)
-        return reason
 
-    def _refused(self, k: int, innovation: float, sigma: float, speed: float, path: float) -> str | None:
+    def _refuse(self, k: int, innovation: float, sigma: float, speed: float, path: float) -> None:
         """An innovation that cannot be: begin the way anew behind a slip; too many in a row are a reason."""
         self.slips += 1
         if k == 0:
@@ -268,17 +272,32 @@ class Weights:
             self.P[WAY, :] = 0.0
             self.P[:, WAY] = 0.0
             self.P[WAY, WAY] = (0.5 * BLOCK_S) ** 2
+            self.slipped += 1
         if self.slips < SLIPS:
-            return None
-        if k == 0:
-            return (
-                f"the wheels slip: their way is {abs(innovation):.2f} m off what the inertial sensors saw "
-                f"at {speed:.1f} m/s, {sigma:.2f} m are expected"
+            return
+        if self.slipped:
+            self.reason = (
+                f"the wheels slip: {self.slipped} times their way was off what the inertial sensors saw, "
+                f"at {speed:.1f} m/s"
             )
-        side = "sideways" if k == 1 else "upwards"
+        else:
+            side = "sideways" if k == 1 else "upwards"
+            self.reason = (
+                f"the vehicle seems to move {side} at {abs(innovation):.2f} m/s ({sigma:.2f} are expected): "
+                "an inertial sensor is wrong, or it is not mounted as configured"
+            )
+
+    def doubt(self) -> str | None:
+        """What speaks against the result, or None: the way, the sensors, Earth's rate as it was felt."""
+        if self.reason is not None:
+            return self.reason
+        k = RATE.stop - 1
+        sigma = math.hypot(math.sqrt(self.P[k, k]), UNSURE)
+        if abs(self.rate[1]) < DOUBT * sigma:
+            return None
         return (
-            f"the vehicle seems to move {side} at {abs(innovation):.2f} m/s: "
-            "it slides, an inertial sensor is wrong, or it is not mounted as configured"
+            f"Earth's rate about north is felt {math.degrees(self.rate[1]) * 3600:+.3f} deg/h off what it is "
+            "at this latitude: latitude or calibration are wrong"
         )
 
     def _feed(self, error: Vector) -> None:
