@@ -67,6 +67,7 @@ class Navigator:
         self._events: list[NavEvent] = []
         self._runs: list[Run] = []  # not empty: it aligns
         self._methods: list[str] = []  # their names
+        self._shown: tuple[list[float], Vector] = ([], np.empty(0))  # estimate q_gb and its q_gv
         self._pending: list[ImuSample] = []
         self._imu_ns: int | None = None
         self._check_ns = 0
@@ -190,8 +191,11 @@ class Navigator:
             return
         row = np.full(S.SIZE, math.nan)
         C_vb = self.config.C_vb
-        C_gb = dcm_from_quat(status.estimate)
-        row[S.Q] = quat_from_dcm(C_gb if C_vb is None else C_gb @ C_vb.T)
+        estimate = status.estimate.tolist()
+        if estimate != self._shown[0]:  # most stand for a second
+            C_gb = dcm_from_quat(status.estimate)
+            self._shown = estimate, quat_from_dcm(C_gb if C_vb is None else C_gb @ C_vb.T)
+        row[S.Q] = self._shown[1]
         row[S.SIGMA_PHI] = sigma
         flags = SolutionFlag.LEVEL if max(sigma[:2]) < self.config.heading_limit else 0
         if C_vb is not None:
@@ -234,7 +238,7 @@ class Navigator:
                     return
         if self._runs:
             # an alignment goes on with what it gathered; a state that is no number ends navigation
-            if not math.isfinite(float(s.dtheta.sum() + s.dv.sum())):
+            if not math.isfinite(sum(s.dtheta.tolist()) + sum(s.dv.tolist())):
                 self._events.append(Refusal(t, s.device, "invalid"))
                 return
             self._imu_ns = t
