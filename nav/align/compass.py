@@ -94,8 +94,8 @@ def _take(course: Course, sample: Sample) -> str | None:
     course.store.add(sample)
     if reason is None and watch.full(course.still):
         course.still, reason = watch.close(course.still, config)
-        if reason is None:
-            course.stuck, reason = look(course.stuck, course.store)
+        course.stuck, stuck = look(course.stuck, course.store, reason is not None)
+        reason = stuck or reason
         if course.origin is None and (found := place_of(config, course.still)) is not None:
             place_course(course, found)
             first_state(course, np.zeros(3))
@@ -150,7 +150,7 @@ def _judge(course: Course) -> str | None:
         if abs(force - earth.gravity) > slack:
             return (
                 f"the specific force is {force:.4f} m/s^2 where gravity is {earth.gravity:.4f}: "
-                "an accelerometer is stuck, or calibration or position are wrong"
+                "an accelerometer is stuck, or calibration or latitude are wrong"
             )
     if leg.kind == AZIMUTH:
         return implausible(config, course.still, course.origin[0])

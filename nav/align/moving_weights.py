@@ -55,6 +55,8 @@ SIZE: Final = 21
 BLOCK_S: Final = 1.0
 ROLL: Final = 0.003  # m per root of a metre: what the way gains or loses on a road
 SIDEWAYS: Final = 0.01  # s: velocity across the vehicle per level acceleration, by slip and suspension
+CRAB: Final = 0.005  # rad between the vehicle's axis and its path: camber, side wind, steering
+CRAB_WAY: Final = 12.5  # m over which that stays
 SIGMAS: Final = 6.0
 DOUBT: Final = 4.0
 SLIPS: Final = 3  # in a row are too many
@@ -239,7 +241,8 @@ class Weights:
             ]
         )
         level = math.hypot(sums[_S_F], sums[_S_F + 1]) / tau
-        across = math.hypot(config.slip, SIDEWAYS * level)
+        crab = CRAB * math.sqrt(abs(speed) * max(abs(speed), CRAB_WAY / BLOCK_S))
+        across = math.hypot(config.slip, SIDEWAYS * level, crab)
         noise = np.array([self.quantum**2, across**2, across**2])
         error = np.zeros(SIZE)
         refused = False

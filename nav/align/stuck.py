@@ -6,8 +6,9 @@ from typing import Final, NamedTuple
 
 from nav.align.store import Store
 
-LOOK: Final = 50  # samples
-FEWEST: Final = 20
+LOOK_S: Final = 0.5
+MOST: Final = 500  # samples
+FEWEST: Final = 8
 TIMES: Final = 5  # in a row that a sensor must be found so
 _NAMES: Final = ("gyro x", "gyro y", "gyro z", "accelerometer x", "accelerometer y", "accelerometer z")
 
@@ -18,13 +19,15 @@ class Stuck(NamedTuple):
     times: tuple[int, ...] = (0,) * 6
 
 
-def look(stuck: Stuck, store: Store) -> tuple[Stuck, str | None]:
-    """Look at the newest samples, and say which sensor is stuck.
+def look(stuck: Stuck, store: Store, doubtful: bool = False) -> tuple[Stuck, str | None]:
+    """Look at the newest samples, and say which sensor is stuck; at once where all is ``doubtful``.
 
     Noise moves the last digit of a sensor in every sample. One whose increments are all alike stands still
     unless the other two of its kind do as well (ideal sensors, or none).
     """
-    rows = store.imu.back(store.imu.count, LOOK).rows
+    count = store.imu.count
+    dt = float(store.imu.back(count, 1).dt[0])
+    rows = store.imu.back(count, min(MOST, int(LOOK_S / dt))).rows
     if len(rows) < FEWEST:
         return stuck, None
     alike = (rows == rows[0]).all(axis=0).tolist()
@@ -33,6 +36,6 @@ def look(stuck: Stuck, store: Store) -> tuple[Stuck, str | None]:
         for k, n in enumerate(stuck.times)
     )
     for name, n in zip(_NAMES, times, strict=True):
-        if n >= TIMES:
+        if n >= (1 if doubtful else TIMES):
             return Stuck(times), f"{name} is stuck: it says the same again and again"
     return Stuck(times), None
