@@ -67,8 +67,11 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         raise ConfigError(f"{config.file}: {key}.height_channel: found no barometer, expected {expected}")
     C_vb = _mounting(options)
     errors = _imu_errors(options)
-    gnss_lever_arm = np.array(options.gnss_lever_arm_m)
-    align = _align(config.file, key, options, errors, gnss_lever_arm, C_vb)
+    quantum = max(
+        (getattr(config.devices[device], "m_per_tick", 0.0) for device in kinds.get("odometer", [])),
+        default=0.0,
+    )
+    align = _align(config.file, key, options, errors, C_vb, quantum)
     _check_needs(config.file, key, options.alignment, lack(ALIGNMENTS[options.alignment], kinds, align))
     rolls = "odometer" in kinds
     moves = rolls or "speed" in kinds
@@ -77,7 +80,7 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         alignment=options.alignment,
         C_vb=C_vb,
         sigma_mounting=options.mounting_sigma_deg * _DEG,
-        gnss_lever_arm=gnss_lever_arm,
+        gnss_lever_arm=np.array(options.gnss_lever_arm_m),
         odometer_lever_arm=np.array(options.odometer_lever_arm_m),
         output_point=np.array(options.output_point_m),
         gnss_position_floor=options.gnss_position_floor_m,
@@ -90,12 +93,11 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         odometer_timeout=_patience(options.odometer_timeout_s, moves),
         barometer_timeout=_patience(options.barometer_timeout_s, "baro" in kinds),
         odometer_sigma=options.odometer_sigma_m_s,
-        odometer_quantum=max(
-            (getattr(config.devices[device], "m_per_tick", 0.0) for device in kinds.get("odometer", [])),
-            default=0.0,
-        ),
+        odometer_walk=options.odometer_walk_m_per_sqrt_m,
+        odometer_quantum=quantum,
         odometer_scale=options.odometer_scale_ppm * 1e-6,
         non_holonomic=options.non_holonomic_sigma_m_s if options.non_holonomic else None,
+        sideways_walk=options.sideways_walk_m_per_sqrt_m,
         zero_velocity=options.zero_velocity_sigma_m_s or None,
         zero_rate=options.zero_rate_sigma_deg_per_s * _DEG or None,
         rest_gyro=None if options.rest_gyro_deg_per_s is None else options.rest_gyro_deg_per_s * _DEG,
@@ -105,6 +107,7 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         samples_per_update=options.samples_per_update,
         height_channel=None if channel is None else (channel.order, channel.time_constant_s),
         baro_bias=options.barometer_bias_m,
+        baro_wander=options.barometer_wander_m_per_sqrt_s,
         gap_limit=options.gap_limit_s,
         align=align,
     )
@@ -185,8 +188,8 @@ def _align(
     key: str,
     options: NavigatorOptions,
     imu: ImuErrors,
-    gnss_lever_arm: Vector,
     C_vb: Vector | None,
+    quantum: float,
 ) -> AlignConfig:
     table = options.align
     position = heading = attitude = None
@@ -213,7 +216,7 @@ def _align(
         position=position,
         sigma_position=table.position_sigma_m,
         sway=table.sway_m_s,
-        gnss_lever_arm=gnss_lever_arm,
+        gnss_lever_arm=np.array(options.gnss_lever_arm_m),
         gnss_velocity_age=options.gnss_velocity_age_ms * 1e-3,
         C_vb=C_vb,
         sigma_heading=table.heading_deg * _DEG,
@@ -223,4 +226,10 @@ def _align(
         replay_samples=table.replay_samples,
         heading=heading,
         attitude=attitude,
+        slope=table.slope_deg * _DEG,
+        odometer_lever_arm=np.array(options.odometer_lever_arm_m),
+        odometer_quantum=quantum,
+        odometer_scale=options.odometer_scale_ppm * 1e-6,
+        sigma_mounting=options.mounting_sigma_deg * _DEG,
+        slip=table.slip_m_s,
     )

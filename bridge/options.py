@@ -158,6 +158,10 @@ class NavigatorOptions(Table):
     The ``floor`` keys are the least sigmas that a fix is believed to have. The velocity of a fix is that of
     ``gnss_velocity_age_ms`` before it: half the interval that a receiver averages or differences over.
 
+    Distances of an odometer walk off by ``odometer_walk_m_per_sqrt_m`` (tyres, road) beside its ticks and
+    ``odometer_sigma_m_s``, which every fifth of a second is wrong by anew. A vehicle whose heading wanders
+    about its path (camber, wind, steering) walks to the side by ``sideways_walk_m_per_sqrt_m``.
+
     A ``zero_velocity_sigma_m_s`` of 0 switches zero-velocity updates off, a ``zero_rate_sigma_deg_per_s``
     of 0 those of the gyro biases at rest. Without an odometer an IMU rests that shakes less than
     ``rest_gyro_deg_per_s`` and ``rest_accel_m_s2`` (standard deviations of the vectors): by default what an
@@ -189,10 +193,13 @@ class NavigatorOptions(Table):
     odometer_timeout_s: NotNegative = 5.0
     barometer_timeout_s: NotNegative = 10.0
     odometer_sigma_m_s: Positive = 0.03
+    odometer_walk_m_per_sqrt_m: NotNegative = 0.0
     odometer_scale_ppm: Positive = 10_000.0
     barometer_bias_m: Positive = 30.0
+    barometer_wander_m_per_sqrt_s: NotNegative = 0.05
     non_holonomic: bool = True
     non_holonomic_sigma_m_s: Positive = 0.1
+    sideways_walk_m_per_sqrt_m: NotNegative = 0.0
     zero_velocity_sigma_m_s: NotNegative = 0.01
     zero_rate_sigma_deg_per_s: NotNegative = 0.0
     rest_gyro_deg_per_s: Positive | None = None

@@ -14,7 +14,7 @@ from virtual_bus.devices import FRAME_NS
 from virtual_bus.ellipsoid import G0
 from virtual_bus.grades import ARCSEC, DEG_PER_H, UG, Grade, ImuErrors
 from virtual_bus.scenario import DeviceTable, Scenario
-from virtual_bus.truth import mounting_matrix
+from virtual_bus.truth import CRAB_SHORTEST, mounting_matrix
 
 Array = NDArray[np.float64]
 
@@ -33,10 +33,14 @@ class Wiring:
 
 _SCALE_MATTERS_PPM: Final = 300.0
 """A quarter turn with this scale error of a gyro is wrong by as much as heading is known."""
-_SPEED_M_S: Final = 15.0  # usual in the scenarios
-_GATHER_S: Final = 0.2  # over which the bridge gathers ticks
-_STANDING_M_S: Final = 0.03
-"""How still a standing vehicle is: its errors last for seconds, and it is asked twice in each."""
+_STANDING_M_S: Final = 0.0005
+"""A wheel stands below 5 mm/s, and the speed of a start grows with the fifth power of time: 5 mm/s over
+the root of 11 in the last of a dozen intervals of a rest. In the others the simulated vehicle is still."""
+_STAMPS_M_S: Final = 0.003
+"""Stamps of the wheel come in steps of 0.1 ms: so much at 15 m/s over the 0.2 s that ticks are gathered."""
+_ROAD_M_S: Final = 0.002
+"""The simulated wheels never leave the road, but a body that leans in a turn sees a part of what its
+heading makes it walk sideways: a degree of 0.08 m/s, for a second each time."""
 _ALIGN_MARGIN_S: Final = 4.0
 _COARSE_S: Final = 60.0
 _FINE_S: Final = 240.0
@@ -144,11 +148,14 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         known.append(f"gnss_correlated_m = {list(s.gnss.correlated_m)!r}")
         known.append(f"gnss_correlation_s = {s.gnss.correlation_s!r}")
     if s.odometer is not None:
-        walk = s.odometer.walk_m_per_sqrt_m
-        known.append(f"odometer_sigma_m_s = {max(0.005, walk * math.sqrt(_SPEED_M_S / _GATHER_S))!r}")
+        known.append(f"odometer_sigma_m_s = {_STAMPS_M_S!r}")
+        known.append(f"odometer_walk_m_per_sqrt_m = {s.odometer.walk_m_per_sqrt_m!r}")
         known.append(f"odometer_scale_ppm = {max(1.0, s.odometer.scale_error_ppm)!r}")
     if s.baro is not None:
         known.append(f"barometer_bias_m = {max(0.01, math.hypot(s.baro.offset_m, s.baro.drift_m))!r}")
+        # a Markov process in the short run
+        wander = s.baro.drift_m * math.sqrt(2.0 / s.baro.correlation_s)
+        known.append(f"barometer_wander_m_per_sqrt_s = {wander!r}")
     mounting = '"find"' if s.navigator.find_mounting else _vector(np.array(v.mounting_deg))
     lines += [
         "[navigator.main]",
@@ -157,6 +164,9 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         f"mounting_deg = {mounting}",
         f"mounting_sigma_deg = {v.mounting_sigma_deg!r}",
         f"non_holonomic = {str(s.navigator.non_holonomic).lower()}",
+        f"non_holonomic_sigma_m_s = {_ROAD_M_S!r}",
+        # white over longer distances than its shortest wave
+        f"sideways_walk_m_per_sqrt_m = {math.radians(v.crab_deg) * math.sqrt(0.5 * CRAB_SHORTEST)!r}",
         *(f"{key} = {_vector(C_bv @ (place - imu_at))}" for key, place in arms.items()),
         *known,
         "",

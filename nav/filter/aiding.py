@@ -14,6 +14,7 @@ from nav.types import BaroSample, GnssFix, OdoSample, SpeedSample, Vector
 
 _JOIN_NS: Final = 20_000_000  # samples of the odometer that are this far apart do not follow each other
 _ZERO: Final = np.zeros(3)
+_UNIFORM: Final = 1.0 / math.sqrt(12.0)  # sigma of a part of one that may be any
 
 
 def earth_fixed(lat: float, lon: float, vector: Vector, sigmas: Vector) -> Vector:
@@ -42,6 +43,7 @@ class Aiding:
         self._path_ns = 0
         self._start_ns = 0
         self._end_ns: int | None = None
+        self._fresh = 1.0  # 0: the open interval begins where the last one ended
         self._distance = 0.0
         self._duration = 0.0
 
@@ -95,6 +97,7 @@ class Aiding:
         start = s.t_ns - round(s.dt * 1e9)
         if self._end_ns is None or abs(start - self._end_ns) > _JOIN_NS:
             # the first, or after missing ones: begin an interval where this sample begins
+            self._fresh = 1.0
             self._start_ns = start
             self._distance = self._duration = 0.0
             self._restart_path(start)
@@ -104,9 +107,12 @@ class Aiding:
         duration = (s.t_ns - self._start_ns) * 1e-9
         if duration < config.odometer_interval - 1e-3:
             return
-        sigma = math.hypot(config.odometer_sigma, 0.41 * config.odometer_quantum / duration)
         distance = self._distance * duration / self._duration
-        self._timeline.measure("odometer", s.t_ns, np.array([0.0, duration, distance, sigma]))
+        walk = config.odometer_walk * math.sqrt(abs(distance))
+        sigma = math.hypot(config.odometer_sigma * duration, walk)
+        z = np.array([0.0, duration, distance, sigma, _UNIFORM * config.odometer_quantum, self._fresh])
+        self._timeline.measure("odometer", s.t_ns, z)
+        self._fresh = 0.0
         self._sideways(s.t_ns, duration)
         self._start_ns = s.t_ns
         self._distance = self._duration = 0.0
@@ -126,7 +132,8 @@ class Aiding:
     def _sideways(self, t_ns: int, duration: float) -> None:
         sigma = self._config.non_holonomic
         if sigma is not None:
-            self._timeline.measure("non_holonomic", t_ns, np.array([0.0, duration, sigma]))
+            z = np.array([0.0, duration, sigma, self._config.sideways_walk])
+            self._timeline.measure("non_holonomic", t_ns, z)
 
     def _restart_path(self, t_ns: int) -> None:
         self._timeline.restart_path(t_ns)

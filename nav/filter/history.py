@@ -18,7 +18,8 @@ import numpy as np
 
 from nav.events import Innovation, NavEvent, Notice
 from nav.filter.height_feed import HeightFeed, take_offset
-from nav.filter.measurements import MEASUREMENTS, Measurement, vehicle_velocity
+from nav.filter.measurements import MEASUREMENTS, Measurement
+from nav.filter.motion import vehicle_velocity
 from nav.filter.propagate import (
     REST_SIZE,
     ROW_D,
@@ -32,7 +33,7 @@ from nav.filter.propagate import (
     row_size,
     solution_row,
 )
-from nav.filter.recovery import inflate
+from nav.filter.recovery import PATIENCE, agree, inflate
 from nav.filter.states import ALL, X_PATH, X_PT, X_SIZE
 from nav.types import ImuSample, S, Vector
 
@@ -50,7 +51,7 @@ _NEVER: Final = -(2**62)
 class Record:
     """One entry of the log: a measurement, or something done to the filter at a time."""
 
-    __slots__ = ("action", "key", "measurement", "recovered", "reported", "t_ns", "z")
+    __slots__ = ("action", "key", "measurement", "recovered", "refused", "reported", "t_ns", "z")
 
     def __init__(
         self,
@@ -68,6 +69,7 @@ class Record:
         self.action = action
         self.reported = False
         self.recovered = False
+        self.refused: Vector | None = None  # its residual, where the gate was shut
 
 
 class Filter:
@@ -367,6 +369,7 @@ class Timeline:
         nis = m.kernel(f.x, f.P, self.par, z, m.gate, out)
         accepted = nis <= m.gate
         book = f.books[_ORDER[m.name]]
+        record.refused = None if accepted else out[: m.rows].copy()
         if accepted:
             book[0], book[1], book[2] = record.t_ns, 0, _NEVER
         else:
@@ -374,7 +377,7 @@ class Timeline:
             if book[2] == _NEVER:
                 book[2] = record.t_ns
             shut = record.t_ns - int(book[2])
-            if book[1] >= 3 and shut >= self._lockout_ns:
+            if book[1] >= 3 and shut >= self._lockout_ns and self._believed(f, m, shut):
                 inflate(f.P, m, out[: m.rows], shut * 1e-9)
                 m.kernel(f.x, f.P, self.par, z, _OPEN, out)
                 book[0], book[1], book[2] = record.t_ns, 0, _NEVER
@@ -387,3 +390,9 @@ class Timeline:
             residual = tuple(out[: m.rows].tolist())
             sigma = tuple(out[6 : 6 + m.rows].tolist())
             self.events.append(Innovation(record.t_ns, m.name, residual, sigma, float(nis), accepted))
+
+    def _believed(self, f: Filter, m: Measurement, shut_ns: int) -> bool:
+        log = self._log[: f.cursor]
+        since = int(f.books[_ORDER[m.name], 2])
+        refused = [r.refused for r in log if r.measurement is m and r.t_ns >= since and r.refused is not None]
+        return shut_ns >= PATIENCE * self._lockout_ns or agree(np.array(refused))

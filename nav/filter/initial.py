@@ -18,7 +18,10 @@ _MOUNTING_FOUND = np.radians(3.0)
 def initial_state(init: NavInit, config: NavigatorConfig) -> tuple[Vector, Vector, bool]:
     """State (X_SIZE,), covariance (N, N), and whether the mounting is known.
 
-    n starts as east-north-up. A configured mounting goes before one that the alignment found.
+    n starts as east-north-up. A configured mounting goes before one that the alignment found. Gyros that are
+    all turned by the same angle navigate as well as before: only the vehicle sits differently about them, so
+    their misalignment is one of the mounting. Accelerometers that disagree with them look biased, which they
+    may be anyway.
     """
     x = np.zeros(st.X_SIZE)
     x[X_Q : X_Q + 4] = rot.quat_normalize(init.q_gb)
@@ -41,15 +44,16 @@ def initial_state(init: NavInit, config: NavigatorConfig) -> tuple[Vector, Vecto
     d[st.ACCEL_SCALE] = imu.accel_scale
     C_vb, known = config.C_vb, True
     if C_vb is not None:
-        d[st.MOUNTING] = config.sigma_mounting
+        d[st.MOUNTING] = np.hypot(config.sigma_mounting, imu.gyro_axes)
     elif init.C_vb is not None:
         C_vb = init.C_vb
         sigma = init.sigma_mounting if init.sigma_mounting is not None else np.full(3, _MOUNTING_FOUND)
-        d[st.MOUNTING] = sigma[[0, 2]]
+        d[st.MOUNTING] = np.hypot(sigma[[0, 2]], imu.gyro_axes)
         x[st.X_ROLL] = sigma[1] ** 2
     else:
         # v is b until it is found; what is shown then is b's attitude, with b's sigma
         C_vb, known = np.eye(3), False
+    x[st.X_ROLL] += imu.gyro_axes**2
     x[st.X_QV : st.X_QV + 4] = rot.quat_from_dcm(C_vb)
     x[st.X_Q0 : st.X_Q0 + 4] = x[st.X_QV : st.X_QV + 4]
     P[np.diag_indices(st.ALL)] = d**2

@@ -36,14 +36,15 @@ def update_readable(P: Matrix, H: Matrix, r: Vector, R: Matrix, X: Matrix) -> tu
 
 
 @kernel
-def update(
-    P: Matrix, H: Matrix, r: Vector, R: Matrix, X: Matrix, gate: float, dx: Vector, S: Matrix
+def update_gain(
+    P: Matrix, H: Matrix, r: Vector, R: Matrix, X: Matrix, gate: float, dx: Vector, S: Matrix, K: Matrix
 ) -> float:
     """Update ``P`` in place and write the estimated error to ``dx`` (N,); returns the NIS.
 
-    Arguments as `update_readable`. ``S`` (m, m) receives the innovation covariance. When the NIS exceeds
-    ``gate`` nothing is changed and ``dx`` is zero. The covariance is ``P - K U' - U K'`` with
-    ``U = W - K S / 2``, which is Joseph's form: errors of K enter in second order only.
+    Arguments as `update_readable`. ``S`` (m, m) receives the innovation covariance, ``K`` (m, N) the
+    transposed gain. When the NIS exceeds ``gate``, ``P`` and ``K`` stay and ``dx`` is zero. The covariance is
+    ``P - K U' - U K'`` with ``U = W - K S / 2``, which is Joseph's form: errors of K enter in second order
+    only.
     """
     n = P.shape[0]
     m = H.shape[0]
@@ -87,7 +88,6 @@ def update(
         dx[c] = 0.0
     if not nis <= gate:
         return nis
-    K = np.zeros((m, n))
     g = np.zeros(m)
     for c in range(n):
         for a in range(m):
@@ -116,6 +116,14 @@ def update(
             P[i, j] = t
             P[j, i] = t
     return nis
+
+
+@kernel
+def update(
+    P: Matrix, H: Matrix, r: Vector, R: Matrix, X: Matrix, gate: float, dx: Vector, S: Matrix
+) -> float:
+    """`update_gain` for whoever does not want the gain."""
+    return update_gain(P, H, r, R, X, gate, dx, S, np.zeros((H.shape[0], P.shape[0])))
 
 
 @kernel

@@ -17,21 +17,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.earth import E2, EARTH_RATE, curvature, radii
-from nav.filter.kalman import GATES, correct, update
+from nav.filter.kalman import GATES, correct, update_gain
+from nav.filter.motion import eb_rate, matrix, mean_velocity, vehicle_row, vehicle_velocity
 from nav.filter.states import (
+    ALL,
     P_ARW,
     P_LG,
-    P_LO,
     P_SLIP,
     X_A,
     X_BB,
     X_BG,
-    X_F,
     X_GB,
     X_KO,
-    X_PATH,
-    X_PT,
     X_QV,
+    X_TICK,
+    X_TICK_COV,
+    X_TICK_VAR,
     X_W,
 )
 from nav.jit import kernel
@@ -48,26 +49,26 @@ def _finish(
     x: Vector, P: Matrix, H: Matrix, r: Vector, R: Matrix, X: Matrix, gate: float, out: Vector
 ) -> float:
     m = r.shape[0]
+    n = P.shape[0]
     S = np.zeros((m, m))
-    dx = np.zeros(P.shape[0])
-    nis = update(P, H, r, R, X, gate, dx, S)
+    K = np.zeros((m, n))
+    dx = np.zeros(n)
+    nis = update_gain(P, H, r, R, X, gate, dx, S, K)
     for a in range(m):
         out[a] = r[a]
         out[6 + a] = np.sqrt(S[a, a])
     if nis <= gate:
         correct(x, dx)
+        # the errors change, and the part of a tick that they have to do with does not
+        for a in range(m):
+            seen = 0.0
+            for c in range(n):
+                seen += H[a, c] * x[X_TICK_COV + c]
+            S[a, 0] = seen
+        for a in range(m):
+            for c in range(n):
+                x[X_TICK_COV + c] -= K[a, c] * S[a, 0]
     return nis
-
-
-@kernel
-def _matrix(q: Vector) -> Matrix:
-    """Direction cosine matrix of the quaternion at ``q[0:4]``."""
-    C = np.empty((3, 3))
-    for j in range(3):
-        C[0, j], C[1, j], C[2, j] = rotate(
-            q[0], q[1], q[2], q[3], 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
-        )
-    return C
 
 
 @kernel
@@ -88,21 +89,6 @@ def _noise_in_n(C: Vector, e: Vector) -> Matrix:
 
 
 @kernel
-def _eb_rate(x: Vector) -> tuple[float, float, float]:
-    """w_eb_b: rate of b with respect to the Earth, over the last update."""
-    ix, iy, iz = rotate(
-        x[X_Q],
-        -x[X_Q + 1],
-        -x[X_Q + 2],
-        -x[X_Q + 3],
-        EARTH_RATE * x[X_C + 6],
-        EARTH_RATE * x[X_C + 7],
-        EARTH_RATE * x[X_C + 8],
-    )
-    return x[X_W] - ix, x[X_W + 1] - iy, x[X_W + 2] - iz
-
-
-@kernel
 def gnss_position(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
     """Antenna position. ``z``: tau, Earth-fixed x, y, z (m), covariance of what is white in it.
 
@@ -116,7 +102,7 @@ def gnss_position(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
     ey = (r_n + h) * C[5] - z[2]
     ez = ((1.0 - E2) * r_n + h) * C[8] - z[3]
     lx, ly, lz = rotate(x[0], x[1], x[2], x[3], par[P_LG], par[P_LG + 1], par[P_LG + 2])
-    wx, wy, wz = _eb_rate(x)
+    wx, wy, wz = eb_rate(x)
     px, py, pz = par[P_LG], par[P_LG + 1], par[P_LG + 2]
     ux, uy, uz = rotate(x[0], x[1], x[2], x[3], wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
     tau = z[0]
@@ -153,14 +139,14 @@ def gnss_velocity(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
     mz = C[2] * z[1] + C[5] * z[2] + C[8] * z[3]
     kxx, kxy, kyy = curvature(C[6], C[7], C[8], x[X_H])
     px, py, pz = par[P_LG], par[P_LG + 1], par[P_LG + 2]
-    wx, wy, wz = _eb_rate(x)
+    wx, wy, wz = eb_rate(x)
     ux, uy, uz = rotate(x[0], x[1], x[2], x[3], wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
     tau = z[0]
     r = np.empty(3)
     r[0] = x[X_V] + ux - x[X_A] * tau - mx
     r[1] = x[X_V + 1] + uy - x[X_A + 1] * tau - my
     r[2] = x[X_V + 2] + uz - x[X_A + 2] * tau - mz
-    B = _matrix(x[X_Q : X_Q + 4])
+    B = matrix(x[X_Q : X_Q + 4])
     H = np.zeros((3, n))
     for i in range(3):
         H[i, 3 + i] = 1.0
@@ -179,88 +165,57 @@ def gnss_velocity(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
 
 
 @kernel
-def _vehicle_row(x: Vector, par: Vector, axis: int, u: Vector, age: float, H: Matrix, row: int) -> None:
-    """Row of H for the odometer point's velocity along one axis of v, ``age`` seconds ago.
-
-    ``u`` (3,) is that velocity in v. ``du = C_vn (dv + phi x v) + C_vb (l x db) + u x mu``.
-    """
-    Cv = _matrix(x[X_QV : X_QV + 4])
-    Cb = _matrix(x[X_Q : X_Q + 4])
-    vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
-    fx, fy, fz = rotate(x[0], x[1], x[2], x[3], x[X_F], x[X_F + 1], x[X_F + 2])
-    lx, ly, lz = par[P_LO], par[P_LO + 1], par[P_LO + 2]
-    c0 = Cv[axis, 0] * Cb[0, 0] + Cv[axis, 1] * Cb[0, 1] + Cv[axis, 2] * Cb[0, 2]
-    c1 = Cv[axis, 0] * Cb[1, 0] + Cv[axis, 1] * Cb[1, 1] + Cv[axis, 2] * Cb[1, 2]
-    c2 = Cv[axis, 0] * Cb[2, 0] + Cv[axis, 1] * Cb[2, 1] + Cv[axis, 2] * Cb[2, 2]
-    H[row, 3], H[row, 4], H[row, 5] = c0, c1, c2
-    # dv was smaller by (f x phi - C dba) age; and c . (phi x v) = phi . (v x c)
-    H[row, 6] = vy * c2 - vz * c1 - age * (c1 * fz - c2 * fy)
-    H[row, 7] = vz * c0 - vx * c2 - age * (c2 * fx - c0 * fz)
-    H[row, 8] = vx * c1 - vy * c0 - age * (c0 * fy - c1 * fx)
-    H[row, 9] = Cv[axis, 1] * lz - Cv[axis, 2] * ly
-    H[row, 10] = Cv[axis, 2] * lx - Cv[axis, 0] * lz
-    H[row, 11] = Cv[axis, 0] * ly - Cv[axis, 1] * lx
-    for k in range(3):
-        H[row, 12 + k] = age * Cv[axis, k]
-    if axis == 0:
-        H[row, 17] = u[1]
-    elif axis == 1:
-        H[row, 16] = u[2]
-        H[row, 17] = -u[0]
-    else:
-        H[row, 16] = -u[1]
-
-
-@kernel
-def vehicle_velocity(x: Vector, par: Vector, tau: float) -> Vector:
-    """Velocity (3,) of the odometer point in v, ``tau`` seconds before the state's time."""
-    wx, wy, wz = _eb_rate(x)
-    lx, ly, lz = par[P_LO], par[P_LO + 1], par[P_LO + 2]
-    bx, by, bz = rotate(
-        x[X_Q],
-        -x[X_Q + 1],
-        -x[X_Q + 2],
-        -x[X_Q + 3],
-        x[X_V] - x[X_A] * tau,
-        x[X_V + 1] - x[X_A + 1] * tau,
-        x[X_V + 2] - x[X_A + 2] * tau,
-    )
-    u = np.empty(3)
-    u[0], u[1], u[2] = rotate(
-        x[X_QV],
-        x[X_QV + 1],
-        x[X_QV + 2],
-        x[X_QV + 3],
-        bx + wy * lz - wz * ly,
-        by + wz * lx - wx * lz,
-        bz + wx * ly - wy * lx,
-    )
-    return u
-
-
-@kernel
-def _mean_velocity(x: Vector, par: Vector, tau: float) -> Vector:
-    """Mean velocity (3,) of the odometer point in v since the last odometer epoch, up to tau ago."""
-    u = vehicle_velocity(x, par, 0.5 * tau)
-    t = x[X_PT] - tau
-    for k in range(3):
-        u[k] = (x[X_PATH + k] - u[k] * tau) / t
-    return u
-
-
-@kernel
 def odometer(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
-    """Distance since the last odometer epoch. ``z``: tau, duration (s), distance (m), sigma (m/s)."""
+    """Distance since the last odometer epoch.
+
+    ``z``: tau, duration (s), distance (m), sigma (m) of what is white in it, of the part of a tick that any
+    count leaves out (m), and 1 where the interval does not begin with the last one's end, 0 where it does.
+
+    What the count leaves out at the end of an interval is missing in the next one: the parts at both ends
+    enter, and the one at the beginning is correlated with the state that was corrected with it. It is
+    carried as a mean, a variance and a covariance with the state, which measurements that do not see it
+    leave as it is. Bar-Shalom, Li and Kirubarajan, section 8.4 (autocorrelated noise, augmented state).
+    """
     n = P.shape[0]
-    u = _mean_velocity(x, par, z[0])
+    if z[5] != 0.0:
+        _fresh_tick(x, z[4])
+    u = mean_velocity(x, par, z[0])
     speed = z[2] / z[1]
+    per_s = 1.0 / z[1]
+    end = z[4] * z[4]
     r = np.empty(1)
-    r[0] = u[1] - (1.0 + x[X_KO]) * speed
+    r[0] = u[1] - (1.0 + x[X_KO]) * speed + per_s * x[X_TICK]
     H = np.zeros((1, n))
-    _vehicle_row(x, par, 1, u, 0.5 * z[1] + z[0], H, 0)
+    vehicle_row(x, par, 1, u, 0.5 * z[1] + z[0], H, 0)
     H[0, 15] = -speed
-    R = np.full((1, 1), z[3] * z[3])
-    return _finish(x, P, H, r, R, np.zeros((n, 1)), gate, out)
+    R = np.full((1, 1), per_s * per_s * (z[3] * z[3] + end + x[X_TICK_VAR]))
+    X = np.zeros((n, 1))
+    W = np.zeros(n)
+    for c in range(n):
+        X[c, 0] = -per_s * x[X_TICK_COV + c]
+        W[c] = X[c, 0]
+        for k in range(n):
+            W[c] += P[c, k] * H[0, k]
+    nis = _finish(x, P, H, r, R, X, gate, out)
+    if not nis <= gate:
+        _fresh_tick(x, z[4])
+        return nis
+    # the part at this end: unknown before, and now seen through the residual
+    gain = per_s * end / (out[6] * out[6])
+    x[X_TICK] = gain * r[0]
+    x[X_TICK_VAR] = end * (1.0 - gain * per_s)
+    for c in range(n):
+        x[X_TICK_COV + c] = -gain * W[c]
+    return nis
+
+
+@kernel
+def _fresh_tick(x: Vector, sigma: float) -> None:
+    """Nothing is known of the part of a tick that the count has left out."""
+    x[X_TICK] = 0.0
+    x[X_TICK_VAR] = sigma * sigma
+    for c in range(ALL):
+        x[X_TICK_COV + c] = 0.0
 
 
 @kernel
@@ -271,7 +226,7 @@ def speed(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector
     r = np.empty(1)
     r[0] = u[1] - (1.0 + x[X_KO]) * z[1]
     H = np.zeros((1, n))
-    _vehicle_row(x, par, 1, u, z[0], H, 0)
+    vehicle_row(x, par, 1, u, z[0], H, 0)
     H[0, 15] = -z[1]
     R = np.full((1, 1), z[2] * z[2])
     return _finish(x, P, H, r, R, np.zeros((n, 1)), gate, out)
@@ -279,23 +234,25 @@ def speed(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector
 
 @kernel
 def non_holonomic(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
-    """Wheels neither slide sideways nor leave the road. ``z``: tau, duration (s), sigma (m/s).
+    """Wheels neither slide sideways nor leave the road. ``z``: tau, duration (s), sigma (m/s), sigma (m).
 
-    Mean velocity of the odometer point along right and up of v is zero; in a turn the sigma across
-    grows with lateral acceleration (tyres slip). Groves, section 15.4.1.
+    Mean velocity of the odometer point along right and up of v is zero, but for the first sigma. A vehicle
+    that heads off its path a little, now to one side and now to the other, walks sideways: ``z[3]`` is by
+    how much over one metre. In a turn the sigma across grows with lateral acceleration (tyres slip).
+    Groves, section 15.4.1.
     """
     n = P.shape[0]
-    u = _mean_velocity(x, par, z[0])
+    u = mean_velocity(x, par, z[0])
     r = np.empty(2)
     r[0] = u[0]
     r[1] = u[2]
     H = np.zeros((2, n))
-    _vehicle_row(x, par, 0, u, 0.5 * z[1] + z[0], H, 0)
-    _vehicle_row(x, par, 2, u, 0.5 * z[1] + z[0], H, 1)
+    vehicle_row(x, par, 0, u, 0.5 * z[1] + z[0], H, 0)
+    vehicle_row(x, par, 2, u, 0.5 * z[1] + z[0], H, 1)
     _, _, wz = rotate(x[X_QV], x[X_QV + 1], x[X_QV + 2], x[X_QV + 3], x[X_W], x[X_W + 1], x[X_W + 2])
     slip = par[P_SLIP] * u[1] * wz
     R = np.zeros((2, 2))
-    R[0, 0] = z[2] * z[2] + slip * slip
+    R[0, 0] = z[2] * z[2] + slip * slip + z[3] * z[3] * abs(u[1]) / z[1]
     R[1, 1] = z[2] * z[2]
     return _finish(x, P, H, r, R, np.zeros((n, 2)), gate, out)
 
@@ -322,7 +279,7 @@ def zero_rate(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Ve
     residual's noise is correlated with phi: its covariance is minus C_nb times the random walk squared.
     """
     n = P.shape[0]
-    B = _matrix(x[X_Q : X_Q + 4])
+    B = matrix(x[X_Q : X_Q + 4])
     ex, ey, ez = EARTH_RATE * x[X_C + 6], EARTH_RATE * x[X_C + 7], EARTH_RATE * x[X_C + 8]
     walk = par[P_ARW] * par[P_ARW]
     r = np.empty(3)

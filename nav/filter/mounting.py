@@ -63,7 +63,7 @@ def settle(mounting: Mounting) -> Callable[[Filter], None]:
     def action(f: Filter) -> None:
         f.x[st.X_QV : st.X_QV + 4] = quat_from_dcm(mounting.C_vb)
         f.x[st.X_Q0 : st.X_Q0 + 4] = f.x[st.X_QV : st.X_QV + 4]
-        f.x[st.X_ROLL] = mounting.sigma[1] ** 2
+        f.x[st.X_ROLL] += mounting.sigma[1] ** 2
         f.P[st.MOUNTING, :] = 0.0
         f.P[:, st.MOUNTING] = 0.0
         f.P[st.MOUNTING, st.MOUNTING] = np.diag(mounting.sigma[[0, 2]] ** 2)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE, gravity_north, normal_gravity, radii
 from nav.filter.covariance import PREDICT_SIZE, feedback, predict
+from nav.filter.motion import carry_tick
 from nav.filter.states import (
-    P_AXES,
     P_GAP_A,
     P_GAP_W,
     P_GNSS,
@@ -190,6 +190,8 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
     x[X_PATH + 2] += bz * dt
     x[X_PT] += dt
 
+    carry_tick(x, c, dt)
+
     # the receiver's error is kept in n, which may turn about the vertical
     keep = 1.0 - par[P_GNSS] * dt
     turn = mid[M_EN + 2] * dt
@@ -334,7 +336,7 @@ def solution_row(x: Vector, P: Matrix, par: Vector, h: Vector, out: Vector) -> b
                 for j in range(3):
                     s += 2.0 * e * h[j] * P[o + i, 6 + j] + h[i] * h[j] * P[6 + i, 6 + j]
             out[16 + o + axis] = np.sqrt(max(s, 0.0))
-        s = _sigma(P, 6, ex, ey, ez) ** 2 + par[P_AXES]
+        s = _sigma(P, 6, ex, ey, ez) ** 2
         s += (ex * rx + ey * ry + ez * rz) ** 2 * x[X_ROLL]
         a, b = ex * m0x + ey * m0y + ez * m0z, ex * m1x + ey * m1y + ez * m1z
         s += a * a * P[16, 16] + 2.0 * a * b * P[16, 17] + b * b * P[17, 17]

@@ -1,4 +1,9 @@
-"""When a gate has refused a measurement for long, the filter is the one that is wrong.
+"""When a gate has refused measurements for long and they agree with each other, the filter is wrong.
+
+A receiver among houses, or a wheel on ice, errs this way and that; a filter that has lost its way errs
+smoothly, and everything it refuses tells the same story. But a claim of sigmas that are much too small looks
+like the first, and a filter that trusts nobody never comes back: after `PATIENCE` times as long it gives in
+anyway.
 
 The variances that the measurement speaks about grow until its residual is within one sigma. A diagonal
 addition keeps the covariance positive and its correlations honest.
@@ -6,10 +11,14 @@ addition keeps the covariance positive and its correlations honest.
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from nav.filter.measurements import Measurement
 from nav.types import Vector
+
+PATIENCE: Final = 10
 
 
 def inflate(P: Vector, measurement: Measurement, residual: Vector, elapsed: float) -> None:
@@ -35,3 +44,13 @@ def inflate(P: Vector, measurement: Measurement, residual: Vector, elapsed: floa
     if measurement.name == "gnss_position":
         for i in range(3, 6):
             P[i, i] += (size / max(elapsed, 1.0)) ** 2
+
+
+def agree(residuals: Vector) -> bool:
+    """Whether ``residuals`` (K, rows) of K >= 3 refused measurements in a row lie on a smooth course.
+
+    The second differences of white noise of variance s^2 have 6 s^2, those of a course that bends little
+    nearly none: noise may make up a quarter of the residuals' mean square.
+    """
+    bend = residuals[2:] - 2.0 * residuals[1:-1] + residuals[:-2]
+    return bool(np.mean(np.square(bend)) / 6.0 <= 0.25 * np.mean(np.square(residuals)))

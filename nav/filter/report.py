@@ -43,7 +43,7 @@ def solution_covariance(x: Vector, P: Vector, par: Vector) -> Vector:
     T[6:9, st.MOUNTING] = (C_gn @ C_nv)[:, [0, 2]]
     covariance = T @ P @ T.T
     ahead = (C_gn @ C_nv)[:, 1]
-    covariance[6:9, 6:9] += np.eye(3) * par[st.P_AXES] + np.outer(ahead, ahead) * x[st.X_ROLL]
+    covariance[6:9, 6:9] += np.outer(ahead, ahead) * x[st.X_ROLL]
     return np.asarray(covariance)
 
 

@@ -71,10 +71,12 @@ class NavigatorConfig:
       varies slowly, with ``gnss_correlation`` s; it is contained in the sigmas of a fix. Zero: all white
     - ``gnss_velocity_age``: the velocity of a fix holds this long before its position (filtered or
       differenced velocities lag)
-    - ``odometer_interval``: ticks are gathered this long; ``odometer_sigma`` m/s, ``odometer_quantum`` m
-      per tick; ``odometer_scale`` initial sigma
+    - ``odometer_interval``: ticks are gathered this long; ``odometer_sigma`` m/s of an interval's mean,
+      ``odometer_walk`` m/sqrt(m) of the distance, ``odometer_quantum`` m per tick; ``odometer_scale`` initial
+      sigma
     - ``non_holonomic``: sigma m/s of the velocity across, None switches the constraint off;
-      ``slip`` s: its growth per lateral acceleration; ``non_holonomic_interval``
+      ``sideways_walk`` m/sqrt(m): of the path to the side, from a heading that wanders about it;
+      ``slip`` s: growth per lateral acceleration; ``non_holonomic_interval``
     - ``zero_velocity`` sigma m/s, None: off; ``zero_rate`` rad/s sigma added to the white noise, None: off
     - ``rest_gyro`` rad/s, ``rest_accel`` m/s^2: standard deviations (of the vector, over updates) below which
       an IMU stands still, None: from what the alignment saw at rest, axis by axis; ``rest_speed`` m/s: and
@@ -83,7 +85,7 @@ class NavigatorConfig:
     - ``baro_bias`` m initial sigma, ``baro_wander`` m/sqrt(s)
     - ``gap_limit``: a longer silence of the IMU ends navigation; ``gap_rate`` rad/s and ``gap_accel`` m/s^2
       may pass unseen in a shorter one
-    - ``lockout``: a measurement refused for this long is believed after all, with inflated covariance
+    - ``lockout``: measurements refused for this long that agree are believed (`nav.filter.recovery`)
     - ``heading_limit`` rad: sigma below which the heading is called valid
     - ``replay_updates``: most stored updates that one call works off
     - ``azimuth``: law of `nav.strapdown.azimuth`; ``azimuth_rate`` rad/s of a rotating one.
@@ -115,10 +117,12 @@ class NavigatorConfig:
     gnss_velocity_age: float = 0.0
     odometer_interval: float = 0.2
     odometer_sigma: float = 0.03
+    odometer_walk: float = 0.0
     odometer_quantum: float = 0.0
     odometer_scale: float = 0.01
     odometer_scale_walk: float = 1e-5
     non_holonomic: float | None = None
+    sideways_walk: float = 0.0
     non_holonomic_interval: float = 0.2
     slip: float = 0.01
     mounting_walk: float = 1e-6
@@ -193,11 +197,8 @@ def parameters(config: NavigatorConfig) -> Vector:
     p[st.P_ARW] = imu.angle_random_walk
     p[st.P_VIB_G] = imu.gyro_vibration
     p[st.P_VIB_A] = imu.accel_vibration
-    # gyros that are all turned by the same angle navigate as well as before, and only what is shown is
-    # off by it; accelerometers that disagree with them look biased, which they may be anyway
-    p[st.P_AXES] = imu.gyro_axes**2
-    # other errors come back with the motion that made them: walks over turns and changes of speed no
-    # longer than these
+    # errors of axes and scale come back with the motion that made them: walks over turns and changes of
+    # speed no longer than these
     p[st.P_TURN] = imu.gyro_axes**2 * _TURN
     p[st.P_PUSH] = imu.accel_axes**2 * _PUSH
     q = p[st.P_Q : st.P_Q + st.ALL]

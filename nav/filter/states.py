@@ -65,7 +65,10 @@ X_PT: Final = 48  # and its duration, s
 X_Q0: Final = 49  # q_vb as configured or first found, the reference of the mounting shown, 4
 X_GB: Final = 53  # slowly varying error of the receiver's position in n, 3
 X_ROLL: Final = 56  # variance of the mounting's roll, which no measurement shows
-X_SIZE: Final = 57
+X_TICK: Final = 57  # part of a tick since the odometer's last one, as the last epoch left it: mean, m
+X_TICK_VAR: Final = 58  # its variance, m^2
+X_TICK_COV: Final = 59  # and its covariance with the errors of the states, ALL
+X_SIZE: Final = X_TICK_COV + ALL
 
 # Places in the parameter vector that kernels take.
 P_LG: Final = 0  # lever arm IMU to GNSS antenna in b, 3
@@ -77,10 +80,9 @@ P_GAP_A: Final = 11  # acceleration that may pass unseen in a gap, m/s^2
 P_ARW: Final = 12  # angle random walk, rad/sqrt(s)
 P_TURN: Final = 13  # variance of angle about its axis that a turn adds per radian, rad
 P_PUSH: Final = 14  # variance of velocity that a change of speed adds per m/s, m/s
-P_AXES: Final = 15  # variance of attitude that no aid can take away, rad^2
-P_VIB_G: Final = 16  # part of the squared difference of two angle increments that is noise
-P_VIB_A: Final = 17  # likewise of velocity increments
-P_Q: Final = 18  # noise densities of the states, ALL
+P_VIB_G: Final = 15  # part of the squared difference of two angle increments that is noise
+P_VIB_A: Final = 16  # likewise of velocity increments
+P_Q: Final = 17  # noise densities of the states, ALL
 P_GNSS: Final = P_Q + ALL  # rate at which the receiver's error decays, 1/s
 P_U: Final = P_GNSS + 1  # control vector of the strapdown kernel, U_SIZE
 P_SIZE: Final = P_U + U_SIZE

@@ -21,8 +21,8 @@ SCALE, MOUNTING = 1e-3, 0.02
 LEVER = np.array([0.3, -0.5, 1.0])
 
 
-def run(seed, wheel, place=(0.8, 0.2), fixes_hz=4.0):
-    """One drive about ``place`` (rad).
+def run(seed, wheel, place=(0.8, 0.2), fixes_hz=4.0, tick=0.0):
+    """One drive about ``place`` (rad); a wheel counts ticks of ``tick`` m, or any distance where that is 0.
 
     Returns error and covariance of all states that were disturbed, and the NIS by kind.
     """
@@ -42,7 +42,8 @@ def run(seed, wheel, place=(0.8, 0.2), fixes_hz=4.0):
         sigma_mounting=MOUNTING,
         gnss_lever_arm=LEVER,
         odometer=wheel,
-        odometer_sigma=0.1,
+        odometer_sigma=0.01 if tick else 0.1,
+        odometer_quantum=tick,
         non_holonomic=0.05 if wheel else None,
         slip=0.0,
         zero_velocity=None,
@@ -53,9 +54,14 @@ def run(seed, wheel, place=(0.8, 0.2), fixes_hz=4.0):
     navigator.begin(hand_over(drive, error=error, sigmas=SIGMAS))
     epochs = np.arange(1, round(fixes_hz * SECONDS)) / fixes_hz + 0.0033
     aids = [(t, fix(drive, t, LEVER, rng=rng)) for t in epochs]
+    total, count = tick * rng.random(), 0
     if wheel:
         for t in 0.2 * np.arange(1, 5 * SECONDS) + 0.0021:
-            d = (rolled(drive, t - 0.2, t) + 0.2 * 0.1 * rng.normal()) / (1.0 + odo_scale)
+            d = (rolled(drive, t - 0.2, t) + 0.2 * config.odometer_sigma * rng.normal()) / (1.0 + odo_scale)
+            if tick:
+                total += d
+                d = (math.floor(total / tick) - count) * tick
+                count = math.floor(total / tick)
             aids.append((t, OdoSample(round(t * 1e9), 0.2, d, False, "odo")))
     _, events = play(navigator, samples(dtheta, dv, DT), aids)
 
@@ -102,9 +108,10 @@ GROUPS = {
 }
 
 
-@pytest.mark.parametrize("wheel", [False, True])
-def test_errors_are_what_the_covariance_says(wheel):
-    runs = [run(seed, wheel) for seed in range(SEEDS)]
+@pytest.mark.parametrize(("wheel", "tick"), [(False, 0.0), (True, 0.0), (True, 0.3)])
+def test_errors_are_what_the_covariance_says(wheel, tick):
+    """A tick of 0.3 m is 1.5 m/s over an interval; what one count leaves out is in the next."""
+    runs = [run(seed, wheel, tick=tick) for seed in range(SEEDS)]
     for name, part in GROUPS.items():
         total, dof = 0.0, 0
         for e, P, _ in runs:

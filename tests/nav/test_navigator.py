@@ -193,6 +193,23 @@ def test_a_shut_gate_opens_again(inertial):
     assert np.linalg.norm(e[:3]) < 1.5
 
 
+def test_a_shut_gate_stays_shut_to_fixes_that_disagree(inertial):
+    """Fixes that are 60 m wrong in all directions change nothing, and do not add up to a belief."""
+    rng = np.random.default_rng(8)
+    good = fixes(SECONDS, sigma_v=(0.05,) * 3)
+
+    def wild(f):
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        return f._replace(lat=f.lat + 1e-5 * np.cos(angle), lon=f.lon + 1e-5 * np.sin(angle))
+
+    aids = [(t, wild(f) if 2.0 < t < 9.0 else f) for t, f in good]
+    solutions, events = play(started(replace(PLAIN, lockout=3.0)), inertial, aids)
+    refused = [e for e in events if isinstance(e, Innovation) and not e.accepted]
+    assert len(refused) > 3 * 4
+    assert not [e for e in events if isinstance(e, Notice)]
+    assert all(np.linalg.norm(error_of(s, DRIVE)[:3]) < 3.0 for s in solutions)
+
+
 def test_a_fix_without_position_is_refused(inertial):
     navigator = started()
     navigator.step(inertial[0])

@@ -52,14 +52,14 @@ def exact(kind, x, p):
     if kind in ("odometer", "speed"):
         x = with_path(x, u)
         s = u[1] / (1.0 + x[st.X_KO])
-        return x, np.array([0.0, T, s * T, 1e-7] if kind == "odometer" else [0.0, s, 1e-7])
+        return x, np.array([0.0, T, s * T, 1e-7 * T, 0.0, 1.0] if kind == "odometer" else [0.0, s, 1e-7])
     if kind == "non_holonomic":
         # drive along v's forward axis: choose the velocity so
         C_vb = rot.dcm_from_quat(x[st.X_QV : st.X_QV + 4])
         x = x.copy()
         w = np.cross(w_eb, p[st.P_LO : st.P_LO + 3])
         x[X_V : X_V + 3] = C_nb @ (C_vb.T @ np.array([0.0, 30.0, 0.0]) - w)
-        return with_path(x, np.array([0.0, 30.0, 0.0])), np.array([0.0, T, 1e-4])
+        return with_path(x, np.array([0.0, 30.0, 0.0])), np.array([0.0, T, 1e-4, 0.0])
     if kind == "zero_velocity":
         x = x.copy()
         x[X_V : X_V + 3] = 0.0

@@ -16,7 +16,6 @@ LEVER = np.array([0.4, -1.3, 0.8])
 def parameters():
     par = np.zeros(st.P_SIZE)
     par[st.P_LP : st.P_LP + 3] = LEVER
-    par[st.P_AXES] = 1e-6
     return par
 
 
@@ -44,7 +43,6 @@ def test_velocity_and_attitude_vary_together_as_it_says():
     e[st.VELOCITY], e[st.PHI], e[st.MOUNTING] = [3e-5, -2e-5, 1e-5], [2e-5, -1e-5, 3e-5], [1e-5, -4e-5]
     P = np.outer(e, e)
     zero = np.zeros((st.FULL, st.FULL))
-    par[st.P_AXES] = 0.0
     true, wrong = row(x, zero, par), row(disturbed(x, e), zero, par)
     turn = rot.quat_multiply(wrong[S.Q], rot.quat_conjugate(true[S.Q]))
     moved = np.concatenate((wrong[S.V] - true[S.V], rot.rotvec_from_quat(turn)))

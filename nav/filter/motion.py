@@ -1,0 +1,128 @@
+"""How points of the vehicle move, from the filter's state: the kernels that measurements share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nav.earth import EARTH_RATE
+from nav.filter.states import P_LO, X_A, X_F, X_PATH, X_PT, X_QV, X_TICK_COV, X_W
+from nav.jit import kernel
+from nav.rotation import rotate
+from nav.strapdown.kernels import X_C, X_Q, X_V
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+@kernel
+def matrix(q: Vector) -> Matrix:
+    """Direction cosine matrix of the quaternion at ``q[0:4]``."""
+    C = np.empty((3, 3))
+    for j in range(3):
+        C[0, j], C[1, j], C[2, j] = rotate(
+            q[0], q[1], q[2], q[3], 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
+        )
+    return C
+
+
+@kernel
+def eb_rate(x: Vector) -> tuple[float, float, float]:
+    """w_eb_b: rate of b with respect to the Earth, over the last update."""
+    ix, iy, iz = rotate(
+        x[X_Q],
+        -x[X_Q + 1],
+        -x[X_Q + 2],
+        -x[X_Q + 3],
+        EARTH_RATE * x[X_C + 6],
+        EARTH_RATE * x[X_C + 7],
+        EARTH_RATE * x[X_C + 8],
+    )
+    return x[X_W] - ix, x[X_W + 1] - iy, x[X_W + 2] - iz
+
+
+@kernel
+def vehicle_velocity(x: Vector, par: Vector, tau: float) -> Vector:
+    """Velocity (3,) of the odometer point in v, ``tau`` seconds before the state's time."""
+    wx, wy, wz = eb_rate(x)
+    lx, ly, lz = par[P_LO], par[P_LO + 1], par[P_LO + 2]
+    bx, by, bz = rotate(
+        x[X_Q],
+        -x[X_Q + 1],
+        -x[X_Q + 2],
+        -x[X_Q + 3],
+        x[X_V] - x[X_A] * tau,
+        x[X_V + 1] - x[X_A + 1] * tau,
+        x[X_V + 2] - x[X_A + 2] * tau,
+    )
+    u = np.empty(3)
+    u[0], u[1], u[2] = rotate(
+        x[X_QV],
+        x[X_QV + 1],
+        x[X_QV + 2],
+        x[X_QV + 3],
+        bx + wy * lz - wz * ly,
+        by + wz * lx - wx * lz,
+        bz + wx * ly - wy * lx,
+    )
+    return u
+
+
+@kernel
+def mean_velocity(x: Vector, par: Vector, tau: float) -> Vector:
+    """Mean velocity (3,) of the odometer point in v since the last odometer epoch, up to tau ago."""
+    u = vehicle_velocity(x, par, 0.5 * tau)
+    t = x[X_PT] - tau
+    for k in range(3):
+        u[k] = (x[X_PATH + k] - u[k] * tau) / t
+    return u
+
+
+@kernel
+def vehicle_row(x: Vector, par: Vector, axis: int, u: Vector, age: float, H: Matrix, row: int) -> None:
+    """Row of H for the odometer point's velocity along one axis of v, ``age`` seconds ago.
+
+    ``u`` (3,) is that velocity in v. ``du = C_vn (dv + phi x v) + C_vb (l x db) + u x mu``.
+    """
+    Cv = matrix(x[X_QV : X_QV + 4])
+    Cb = matrix(x[X_Q : X_Q + 4])
+    vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
+    fx, fy, fz = rotate(x[0], x[1], x[2], x[3], x[X_F], x[X_F + 1], x[X_F + 2])
+    lx, ly, lz = par[P_LO], par[P_LO + 1], par[P_LO + 2]
+    c0 = Cv[axis, 0] * Cb[0, 0] + Cv[axis, 1] * Cb[0, 1] + Cv[axis, 2] * Cb[0, 2]
+    c1 = Cv[axis, 0] * Cb[1, 0] + Cv[axis, 1] * Cb[1, 1] + Cv[axis, 2] * Cb[1, 2]
+    c2 = Cv[axis, 0] * Cb[2, 0] + Cv[axis, 1] * Cb[2, 1] + Cv[axis, 2] * Cb[2, 2]
+    H[row, 3], H[row, 4], H[row, 5] = c0, c1, c2
+    # dv was smaller by (f x phi - C dba) age; and c . (phi x v) = phi . (v x c)
+    H[row, 6] = vy * c2 - vz * c1 - age * (c1 * fz - c2 * fy)
+    H[row, 7] = vz * c0 - vx * c2 - age * (c2 * fx - c0 * fz)
+    H[row, 8] = vx * c1 - vy * c0 - age * (c0 * fy - c1 * fx)
+    H[row, 9] = Cv[axis, 1] * lz - Cv[axis, 2] * ly
+    H[row, 10] = Cv[axis, 2] * lx - Cv[axis, 0] * lz
+    H[row, 11] = Cv[axis, 0] * ly - Cv[axis, 1] * lx
+    for k in range(3):
+        H[row, 12 + k] = age * Cv[axis, k]
+    if axis == 0:
+        H[row, 17] = u[1]
+    elif axis == 1:
+        H[row, 16] = u[2]
+        H[row, 17] = -u[0]
+    else:
+        H[row, 16] = -u[1]
+
+
+@kernel
+def carry_tick(x: Vector, C: Vector, dt: float) -> None:
+    """Carry what the errors have to do with the odometer's last tick on by ``dt`` s, with ``C`` (9,) C_nb.
+
+    As the errors move, but for biases, in the fraction of a second to the next epoch.
+    """
+    f, t = x[X_F : X_F + 3], x[X_TICK_COV : X_TICK_COV + 9]
+    fx = C[0] * f[0] + C[1] * f[1] + C[2] * f[2]
+    fy = C[3] * f[0] + C[4] * f[1] + C[5] * f[2]
+    fz = C[6] * f[0] + C[7] * f[1] + C[8] * f[2]
+    for i in range(3):
+        t[i] += t[3 + i] * dt
+    t[3] += (fy * t[8] - fz * t[7]) * dt
+    t[4] += (fz * t[6] - fx * t[8]) * dt
+    t[5] += (fx * t[7] - fy * t[6]) * dt
