@@ -8,13 +8,14 @@ from __future__ import annotations
 from typing import Final
 
 from nav.align.compass import ONCE, RAPID
+from nav.align.fine import FINE
 from nav.align.gnss_moving import GNSS
 from nav.align.inertial import ALL, DOUBLE, SINGLE
 from nav.align.level import LEVEL
 from nav.align.match import MATCH
 from nav.align.moving_compass import MOVING
 from nav.align.odometer import ODOMETER
-from nav.align.static import COARSE, FINE
+from nav.align.static import ANALYTIC, COARSE
 from nav.align.types import (
     AlignConfig,
     Alignment,
@@ -30,6 +31,7 @@ from nav.align.types import (
 ALIGNMENTS: Final[dict[str, Alignment]] = {
     "static": Alignment(needs=frozenset(), stages=(COARSE, FINE)),
     "motion": Alignment(needs=frozenset({"gnss"}), stages=(LEVEL, MATCH)),
+    "analytic": Alignment(needs=frozenset(), stages=(ANALYTIC,)),
     "gyrocompass": Alignment(needs=frozenset(), stages=(ONCE,)),
     "rapid_gyrocompass": Alignment(needs=frozenset(), stages=(RAPID,)),
     "moving_gyrocompass": Alignment(needs=frozenset({"odometer"}), stages=(MOVING,)),

@@ -117,23 +117,26 @@ def held() -> Held:
 
 
 @kernel
-def _hold(last: Vector, seconds: Vector, dv: Vector, dt: float, limit: float) -> int:
+def hold(last: Vector, seconds: Vector, dv: Vector, dt: float, limit: float) -> int:
+    """Count how long each accelerometer (3,) has said the same; the one that is stuck, or -1."""
     stuck, alive = -1, False
     for i in range(3):
-        # no pulses at all are what a level axis of a coarse instrument gives
-        if dv[i] == last[i] and dv[i] != 0.0:
-            seconds[i] += dt
-        else:
-            seconds[i] = 0.0
+        seconds[i] = seconds[i] + dt if dv[i] == last[i] else 0.0
         last[i] = dv[i]
-        if seconds[i] > limit:
-            stuck = i
-        else:
+        if seconds[i] <= limit:
             alive = True
+        elif dv[i] != 0.0:
+            # no pulses at all are what a level axis of a coarse instrument gives
+            stuck = i
     return stuck if alive else -1
 
 
 def stuck(state: Held, dv: Vector, dt: float) -> str | None:
     """Which accelerometer has said exactly the same for too long while others did not, in words."""
-    axis = _hold(state.last, state.seconds, dv, dt, STUCK_S)
-    return None if axis < 0 else f"the {_AXES[axis]} accelerometer is stuck"
+    axis = hold(state.last, state.seconds, dv, dt, STUCK_S)
+    return None if axis < 0 else stuck_words(axis)
+
+
+def stuck_words(axis: int) -> str:
+    """What to say of the accelerometer of an axis (0, 1, 2)."""
+    return f"the {_AXES[axis]} accelerometer is stuck"

@@ -1,10 +1,9 @@
-"""Static alignment: heading from Earth rate, for gyros that can see it.
+"""Coarse static alignment: heading from Earth rate, for gyros that can see it.
 
-Two stages. The coarse one averages and constructs the attitude from gravity and Earth rate, "Inertial
-navigation", section 2.4.2 (analytic coarse alignment; the triad is orthonormal by construction). The
-fine one is a Kalman filter of velocity, misalignment and sensor biases that observes zero velocity.
+It averages and constructs the attitude from gravity and Earth rate, "Inertial navigation", eqs. (2-101) and
+(2-113). Fine stages go on from there: `nav.align.fine`, `nav.align.open_loop`, `nav.align.kalman`.
 
-What neither can beat, "Inertial navigation", eq. (2-104), strapdown sign of the gyro error: phi_E =
+What none of them can beat, "Inertial navigation", eq. (2-104), strapdown sign of the gyro error: phi_E =
 -nabla_N/g, phi_N = nabla_E/g, phi_U = -eps_E/w_N + tan(L) nabla_E/g. The coarse stage's covariance
 holds these with their cross terms, so that the fine stage knows that it cannot tell the two apart.
 """
@@ -12,13 +11,13 @@ holds these with their cross terms, so that the fine stage knows that it cannot 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from nav.align import still as watch
-from nav.align.fit import skew
-from nav.align.preintegrate import DT
 from nav.align.still import Still
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import (
@@ -30,7 +29,7 @@ from nav.earth import (
     position_quat,
     xyz_to_geodetic,
 )
-from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_rotate
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_rotate
 from nav.types import ImuSample, Sample, Vector
 
 SIGMAS: Final = 6.0
@@ -64,13 +63,34 @@ class Coarse(NamedTuple):
     status: AlignStatus | None = None
 
 
+class Meaning(NamedTuple):
+    """What means over a standstill are taken for.
+
+    ``seconds`` of the configuration that its limit holds for; ``against`` what contradicts them at a
+    latitude, or None; ``solve`` the attitude C_gb (3, 3) and covariance (3, 3) of phi at latitude and height.
+    """
+
+    seconds: Callable[[AlignConfig], float]
+    against: Callable[[AlignConfig, Still, float], str | None]
+    solve: Callable[[AlignConfig, Still, float, float], tuple[Vector, Vector]]
+
+
 def coarse_init(config: AlignConfig, given: NavInit | None) -> Coarse:
     """Begin with nothing known."""
     return Coarse(config)
 
 
-def coarse_step(state: Coarse, sample: Sample) -> tuple[Coarse, AlignStatus]:
-    """Average inertial samples while nothing moves."""
+def average(meaning: Meaning) -> Callable[[Coarse, Sample], tuple[Coarse, AlignStatus]]:
+    """The step of a stage that averages inertial samples while nothing moves, until ``coarse_s`` are over."""
+
+    def step(state: Coarse, sample: Sample) -> tuple[Coarse, AlignStatus]:
+        """Take any sample."""
+        return _average(state, sample, meaning)
+
+    return step
+
+
+def _average(state: Coarse, sample: Sample, meaning: Meaning) -> tuple[Coarse, AlignStatus]:
     config = state.config
     if isinstance(sample, ImuSample):
         reason = watch.fault(sample)
@@ -81,18 +101,24 @@ def coarse_step(state: Coarse, sample: Sample) -> tuple[Coarse, AlignStatus]:
             return Coarse(config, still, state.status), state.status  # within a block nothing changes
     else:
         still, reason = watch.aid(state.still, sample)
+        if reason is None and state.status is not None:
+            return Coarse(config, still, state.status), state.status
     place = place_of(config, still)
-    ready = still.seconds >= config.coarse_s - 0.5 * watch.BLOCK_S and float(still.block[DT]) == 0.0
+    ready = still.seconds >= config.coarse_s - 0.5 * watch.BLOCK_S
     if reason is None and ready:
         if place is not None:
-            reason = implausible(config, still, place[0])
+            reason = meaning.against(config, still, place[0])
         elif still.seconds > config.coarse_s + PATIENCE_S:
             reason = "no position: no GNSS fix came and the configuration gives none"
     lat, height = (place[0], place[2]) if place is not None else (0.8, 0.0)
+    estimate, covariance = None, np.diag([1.0, 1.0, math.pi**2])
+    if place is not None and still.blocks > 1 and reason is None:
+        C, covariance = meaning.solve(config, still, lat, height)
+        estimate = quat_from_dcm(C)
     status = AlignStatus(
-        estimate=None,
-        covariance=np.diag([1.0, 1.0, math.pi**2]),
-        limit=limits(config, lat, height, config.coarse_s + config.fine_s),
+        estimate=estimate,
+        covariance=covariance,
+        limit=limits(config, lat, height, meaning.seconds(config)),
         progress=min(1.0, still.seconds / config.coarse_s),
         done=ready and place is not None and reason is None,
         refusal=reason,
@@ -110,14 +136,21 @@ def place_of(config: AlignConfig, still: Still) -> tuple[float, float, float] | 
 
 
 def implausible(config: AlignConfig, still: Still, lat: float) -> str | None:
-    """What contradicts a standing IMU on the turning Earth, or None."""
-    north, up = EARTH_RATE * math.cos(lat), EARTH_RATE * math.sin(lat)
+    """What contradicts a standing IMU on the turning Earth that is to find its heading, or None."""
+    north = EARTH_RATE * math.cos(lat)
     sigma = math.hypot(config.gyro_bias, config.angle_random_walk / math.sqrt(still.seconds))
     if sigma > BLIND * north:
         return (
             f"gyros good to {math.degrees(sigma) * 3600:.1f} deg/h cannot find heading in an Earth rate of "
             f"{math.degrees(north) * 3600:.1f} deg/h; align in motion"
         )
+    return turning(config, still, lat)
+
+
+def turning(config: AlignConfig, still: Still, lat: float) -> str | None:
+    """Whether the mean rate about the vertical is Earth's; where not, the words to say so."""
+    north, up = EARTH_RATE * math.cos(lat), EARTH_RATE * math.sin(lat)
+    sigma = math.hypot(config.gyro_bias, config.angle_random_walk / math.sqrt(still.seconds))
     seen = float(still.rate @ still.force / np.linalg.norm(still.force))
     slack = SIGMAS * sigma + 2.0 * north * config.accel_bias / 9.8
     if abs(seen - up) > slack:
@@ -133,6 +166,8 @@ def triad(force: Vector, rate: Vector, lat: float, height: float) -> Vector:
 
     The same three orthonormal vectors are built from gravity and Earth rate in g and from the sensors in b;
     gravity counts fully, Earth rate only by its direction about it. So gyro noise does not reach the level.
+    That is eqs. (2-101), (2-102) or (2-113) with the rows made orthonormal, that of gravity first; the
+    printed orthogonalisation, eqs. (2-115) to (2-120), begins with a column, which lets the gyros tilt it.
     """
     in_b = _orthonormal(force, rate)
     in_g = _orthonormal(-gravity_g(lat, height), earth_rate_g(lat))
@@ -147,11 +182,12 @@ def _orthonormal(first: Vector, second: Vector) -> Vector:
     return np.stack([east, np.cross(up, east), up])
 
 
-def coarse_covariance(config: AlignConfig, C_gb: Vector, lat: float, height: float, seconds: float) -> Vector:
+def coarse_covariance(config: AlignConfig, C_gb: Vector, lat: float, height: float, still: Still) -> Vector:
     """Covariance (12, 12) of velocity, phi, gyro bias, accelerometer bias after the coarse stage.
 
     Errors are true minus estimate. Eq. (2-104) with the strapdown sign, the biases in b.
     """
+    seconds = still.seconds
     g, north = normal_gravity(math.sin(lat), height), EARTH_RATE * math.cos(lat)
     by_rate = np.zeros((3, 3))
     by_rate[2, 0] = -1.0 / north
@@ -160,8 +196,11 @@ def coarse_covariance(config: AlignConfig, C_gb: Vector, lat: float, height: flo
     eps2, nab2 = config.gyro_bias**2, config.accel_bias**2
     P = np.zeros((12, 12))
     P[_VEL, _VEL] = np.eye(3) * config.sway**2
-    P[_PHI, _PHI] = by_rate @ by_rate.T * (eps2 + config.angle_random_walk**2 / seconds)
-    P[_PHI, _PHI] += by_force @ by_force.T * (nab2 + config.velocity_random_walk**2 / seconds)
+    noise = C_gb @ watch.rate_covariance(still, config) @ C_gb.T
+    P[_PHI, _PHI] = by_rate @ (noise + np.eye(3) * eps2) @ by_rate.T
+    # a mean force is off by the velocity that it begins and ends with
+    swing = 2.0 * (config.sway / seconds) ** 2
+    P[_PHI, _PHI] += by_force @ by_force.T * (nab2 + config.velocity_random_walk**2 / seconds + swing)
     P[_PHI, _PHI] += np.eye(3) * 1e-14
     P[_PHI, _EPS] = by_rate @ C_gb * eps2
     P[_PHI, _NAB] = by_force @ C_gb * nab2
@@ -170,15 +209,35 @@ def coarse_covariance(config: AlignConfig, C_gb: Vector, lat: float, height: flo
     return P
 
 
+def _by_triad(config: AlignConfig, still: Still, lat: float, height: float) -> tuple[Vector, Vector]:
+    C = triad(still.force, still.rate, lat, height)
+    return C, coarse_covariance(config, C, lat, height, still)[_PHI, _PHI]
+
+
 def coarse_finish(state: Coarse) -> NavInit:
-    """Attitude by `triad`."""
+    """Attitude by `triad`; the place is the antenna's still."""
     config, still = state.config, state.still
     place = place_of(config, still)
     assert place is not None
     C = triad(still.force, still.rate, place[0], place[2])
-    P = coarse_covariance(config, C, place[0], place[2], still.seconds)
-    sigma_p = np.full(3, config.sigma_position) if config.position is not None else still.sigma_place
-    return nav_init(config, still.t_ns, place, sigma_p, C, np.zeros(12), P)
+    P = coarse_covariance(config, C, place[0], place[2], still)
+    return nav_init(config, still.t_ns, place, sigma_of_place(config, still), C, np.zeros(12), P)
+
+
+def analytic_finish(state: Coarse) -> NavInit:
+    """Attitude by `triad`, and the place of the IMU."""
+    return at_its_place(state.config, state.still, coarse_finish(state))
+
+
+def sigma_of_place(config: AlignConfig, still: Still) -> Vector:
+    """Standard deviations (3,) m of `place_of`."""
+    return np.full(3, config.sigma_position) if config.position is not None else still.sigma_place
+
+
+def at_its_place(config: AlignConfig, still: Still, given: NavInit) -> NavInit:
+    """``given`` with the place of the IMU instead of the antenna's."""
+    (lat, lon, height), sigma_p = standing_at(config, given, still, dcm_from_quat(given.q_gb))
+    return replace(given, lat=lat, lon=lon, height=height, sigma_p=sigma_p)
 
 
 def nav_init(
@@ -215,127 +274,6 @@ def nav_init(
     )
 
 
-class Fine(NamedTuple):
-    """State of the fine stage: attitude, velocity, biases and their covariance, and the watch."""
-
-    config: AlignConfig
-    given: NavInit
-    still: Still
-    C: Vector  # C_gb
-    x: Vector  # (12,): velocity, nothing, gyro bias, accelerometer bias
-    P: Vector  # (12, 12) of velocity, phi, gyro bias, accelerometer bias
-    status: AlignStatus
-    seconds: float = 0.0
-
-
-def fine_init(config: AlignConfig, given: NavInit | None) -> Fine:
-    """Begin from the coarse stage's attitude and covariance."""
-    assert given is not None
-    assert given.P is not None
-    P = given.P[3:15, 3:15].copy()
-    C = dcm_from_quat(given.q_gb)
-    status = AlignStatus(given.q_gb, given.P_phi, _limits(config, given), 0.0, False)
-    return Fine(config, given, Still(), C, np.zeros(12), P, status)
-
-
-def _limits(config: AlignConfig, given: NavInit) -> Vector:
-    return limits(config, given.lat, given.height, config.coarse_s + config.fine_s)
-
-
-def fine_step(state: Fine, sample: Sample) -> tuple[Fine, AlignStatus]:
-    """Propagate with every sample, observe zero velocity with every block."""
-    if isinstance(sample, ImuSample):
-        reason = watch.fault(sample)
-        config, given, still, C, x, P, status, seconds = state
-        still = watch.add(still, sample, x[_EPS], x[_NAB])
-        state = Fine(config, given, still, C, x, P, status, seconds)
-        if reason is None and watch.full(still):
-            state, reason = _update(state)
-    else:
-        still, reason = watch.aid(state.still, sample)
-        state = state._replace(still=still)
-    if reason is not None:
-        return state, state.status._replace(done=False, refusal=reason)
-    return state, state.status
-
-
-def _update(state: Fine) -> tuple[Fine, str | None]:
-    """One block: strapdown, prediction, zero velocity, feedback."""
-    # here and not above: it brings all of SciPy's statistics, 0.7 s that other alignments have no use for
-    from filterpy.kalman import KalmanFilter
-
-    config, given = state.config, state.given
-    rotation, dv, _, dt = watch.block(state.still)
-    still, reason = watch.close(state.still, config)
-    g, w_ie = gravity_g(given.lat, given.height), earth_rate_g(given.lat)
-    f_g = state.C @ dv / dt
-    v = state.x[_VEL] + state.C @ dv + g * dt + 0.5 * dt**2 * np.cross(w_ie, g)
-    C = dcm_from_quat(quat_from_rotvec(-w_ie * dt)) @ state.C @ rotation
-
-    kalman = KalmanFilter(dim_x=12, dim_z=3)
-    kalman.P = state.P
-    kalman.F, kalman.Q = _transition(config, state.C, f_g, w_ie, dt)
-    kalman.H = np.zeros((3, 12))
-    kalman.H[:, _VEL] = np.eye(3)
-    kalman.R = np.eye(3) * config.sway**2
-    kalman.predict()
-    kalman.update(-v.reshape(3, 1))
-    S = np.asarray(kalman.S, dtype=np.float64)
-    nis = float(v @ np.linalg.solve(S, v))
-    speed = float(np.linalg.norm(v))
-    if reason is None and nis > SIGMAS**2 and speed > watch.PUSHED:
-        reason = f"the vehicle moves: {speed:.2f} m/s against a standstill"
-    if reason is not None:
-        return state._replace(still=still), reason
-    error = np.asarray(kalman.x, dtype=np.float64).ravel()
-    P = np.asarray(kalman.P, dtype=np.float64)
-    x = state.x + error
-    x[_VEL] = v + error[_VEL]
-    x[_PHI] = 0.0
-    C = dcm_from_quat(quat_from_rotvec(error[_PHI])) @ C
-    seconds = state.seconds + dt
-    status = AlignStatus(
-        estimate=quat_from_dcm(C),
-        covariance=P[_PHI, _PHI],
-        limit=state.status.limit,
-        progress=min(1.0, seconds / config.fine_s),
-        done=seconds >= config.fine_s - 0.5 * watch.BLOCK_S,
-    )
-    return state._replace(still=still, C=C, x=x, P=0.5 * (P + P.T), seconds=seconds, status=status), None
-
-
-def _transition(
-    config: AlignConfig, C: Vector, f_g: Vector, w_ie: Vector, dt: float
-) -> tuple[Vector, Vector]:
-    """Transition and noise of the errors at standstill, both (12, 12).
-
-    The phi-angle equations without motion, "Inertial navigation", eqs. (2-84), (2-88), biases true minus
-    estimate: dv' = phi x f - C nabla, phi' = -w_ie x phi - C eps.
-    """
-    F = np.zeros((12, 12))
-    F[_VEL, _VEL] = -2.0 * skew(w_ie[None])[0]
-    F[_VEL, _PHI] = -skew(f_g[None])[0]
-    F[_VEL, _NAB] = -C
-    F[_PHI, _PHI] = -skew(w_ie[None])[0]
-    F[_PHI, _EPS] = -C
-    A = F * dt
-    transition = np.eye(12) + A + 0.5 * A @ A
-    noise = np.zeros(12)
-    noise[_VEL] = config.velocity_random_walk**2
-    noise[_PHI] = config.angle_random_walk**2
-    # trapezoid over the interval: the tilt that walks within it moves the velocity
-    Q = 0.5 * dt * (np.diag(noise) + transition @ np.diag(noise) @ transition.T)
-    return transition, Q
-
-
-def fine_finish(state: Fine) -> NavInit:
-    """Attitude, biases and their covariance at the last closed block."""
-    still = state.still
-    place, sigma_p = standing_at(state.config, state.given, still, state.C)
-    # the block just closed ends at the last sample
-    return nav_init(state.config, still.t_ns, place, sigma_p, state.C, state.x, state.P)
-
-
 def standing_at(
     config: AlignConfig, given: NavInit, still: Still, C: Vector
 ) -> tuple[tuple[float, float, float], Vector]:
@@ -355,5 +293,15 @@ def standing_at(
     return (lat, lon, height), sigma_p
 
 
-COARSE: Final = Stage(init=coarse_init, step=coarse_step, finish=coarse_finish)
-FINE: Final = Stage(init=fine_init, step=fine_step, finish=fine_finish)
+def _whole(config: AlignConfig) -> float:
+    return config.coarse_s + config.fine_s
+
+
+COARSE: Final = Stage(
+    init=coarse_init, step=average(Meaning(_whole, implausible, _by_triad)), finish=coarse_finish
+)
+ANALYTIC: Final = Stage(
+    init=coarse_init,
+    step=average(Meaning(lambda config: config.coarse_s, implausible, _by_triad)),
+    finish=analytic_finish,
+)
