@@ -173,8 +173,9 @@ def _find(where: str) -> Path:
         for name in (where, f"{where}.toml"):
             if (PACKAGED / name).is_file():
                 return PACKAGED / name
+    problem = "is a folder" if path.is_dir() else "no such file"
     raise ConfigError(
-        f"{where}: no such file; expected a path or, packaged, {one_of(path.stem, packaged_configs())}"
+        f"{where}: {problem}; expected a path or, packaged, {one_of(path.stem, packaged_configs())}"
     )
 
 

@@ -42,6 +42,6 @@ class Event(IntEnum):
     BUS_STATE = 4  # source, state, text
     PEER = 5  # source, text: a MAVLink peer appeared or went
     REFUSED = 6  # source, reason, packets (or bytes, of what was none): turned away since the last of these
-    COMMAND = 7  # command: what an operator asked for at the console
+    COMMAND = 7  # command, method (an alignment, optional): what an operator asked for at the console
     CLOCK_STEP = 8  # step_ns: the wall clock jumped against the monotonic one
     UNRECORDED = 9  # frames: lost to the recorder just before this frame

@@ -9,6 +9,7 @@ on. Nothing is ever sorted: the file is in the order of sequence numbers.
 from __future__ import annotations
 
 import json
+import os
 import threading
 import time
 from collections import deque
@@ -26,10 +27,27 @@ from bridge.recording_viewer import Decimator
 from bridge.recording_writer import ITEM_BYTES, VIEW, Item, OutputFile, WriterThread
 from nav.types import Solution
 
-__all__ = ["Capture", "Recorder"]
+__all__ = ["Capture", "Recorder", "require_place"]
 
 _QUEUE_BYTES: Final = 16 * 1024 * 1024
 _CLOSE_S: Final = 5.0
+
+
+def require_place(path: str | Path) -> None:
+    """Find out that no capture can be written at ``path`` before kernels are compiled and buses opened.
+
+    Raises CaptureError with the reason.
+    """
+    where = Path(path)
+    reason = ""
+    if where.is_dir():
+        reason = "it is a folder"
+    elif not where.parent.is_dir():
+        reason = f"there is no folder {where.parent}"
+    elif not os.access(where if where.exists() else where.parent, os.W_OK):
+        reason = "permission denied"
+    if reason:
+        raise CaptureError(f"{path}: cannot write the capture: {reason}")
 
 
 class Recorder:

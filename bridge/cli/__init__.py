@@ -9,11 +9,13 @@ configuration is wrong, 70 a fault of navbridge itself, 130 interrupted.
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 import os
+import re
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 from bridge.errors import NavbridgeError
@@ -81,14 +83,20 @@ def _dispatch(arguments: list[str]) -> int:
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
     wanted = next((item for item in arguments if not item.startswith("-")), None)
-    module = None
+    module, of_command = None, parser
     if wanted in COMMANDS:
         module = importlib.import_module(COMMANDS[wanted].module)
-        module.add_parser(subparsers)
+        of_command = module.add_parser(subparsers)
+    elif wanted is not None:
+        parser.error(f'no command "{wanted}"; expected one of {", ".join(COMMANDS)}{_near(wanted, COMMANDS)}')
     else:
         for name, command in COMMANDS.items():
             subparsers.add_parser(name, help=command.help)
-    args = parser.parse_args(arguments)
+    args, strange = parser.parse_known_args(arguments)
+    if strange:
+        # by the command's own parser, which shows its usage; argparse would show the program's
+        known = re.findall(r"--[a-z-]+", of_command.format_help())
+        of_command.error(f"unrecognized arguments: {' '.join(strange)}{_near(strange[0], known)}")
     if args.version:
         from importlib.metadata import version
 
@@ -98,6 +106,11 @@ def _dispatch(arguments: list[str]) -> int:
         parser.print_help()
         return 2
     return int(module.run(args))
+
+
+def _near(found: str, names: Iterable[str]) -> str:
+    near = difflib.get_close_matches(found, list(names), n=1, cutoff=0.6)
+    return f'; did you mean "{near[0]}"?' if near else ""
 
 
 def _complain(text: str, status: int, verbose: bool) -> int:

@@ -19,7 +19,7 @@ from bridge.errors import ConfigError
 from bridge.evaluate import SolutionTable, TruthTable, coverage, errors, summary, table, truth_document
 from bridge.live import Outcome
 from bridge.outputs import Output, Progress, SolutionOut, Transmit
-from bridge.recording import Recorder
+from bridge.recording import Recorder, require_place
 from bridge.report import explain_wait, outcome_lines
 from bridge.view import ViewProcess, ViewSink
 from nav import rotation
@@ -154,6 +154,7 @@ def run(args: argparse.Namespace) -> int:
         bench = Bench(args.scenario, seed=args.seed, seconds=args.seconds)
     except scenario.ScenarioError as error:
         raise ConfigError(str(error)) from error
+    require_place(args.out)
     explain_wait(sys.stderr)
     bench.prepare()
     mavlink_url = None if args.mavlink == "none" else args.mavlink

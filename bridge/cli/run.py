@@ -16,7 +16,7 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         help="run the bridge on real buses",
         description="Run the bridge that a configuration describes until Ctrl-C, SIGTERM or --seconds, and "
         "print the digest of the solution at the end. Typed into its terminal, the words start, stop and "
-        "restart are commands to every navigator.",
+        "restart are commands to every navigator; start and restart may name an alignment (start motion).",
     )
     parser.add_argument("config", metavar="CONFIG", help="a packaged configuration or a TOML file")
     parser.add_argument("--out", metavar="FILE.mcap", help="record a capture")
@@ -38,11 +38,14 @@ def run(args: argparse.Namespace) -> int:
     from bridge.clock import HostClock
     from bridge.config import Config
     from bridge.realtime import RealTime
+    from bridge.recording import require_place
     from bridge.report import Printer, explain_wait, outcome_lines
     from bridge.sources.console import at_terminal
 
     real_time = RealTime(args.realtime_priority, args.cpu, args.lock_memory)
     config = Config.load(args.config)
+    if args.out is not None:
+        require_place(args.out)
     explain_wait(sys.stderr)
     with Bridge(config, HostClock(), out=args.out) as bridge:
         for refusal in real_time.apply():  # now: the recorder's thread is not to have the priority

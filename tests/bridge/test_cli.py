@@ -41,7 +41,35 @@ def test_an_unknown_command_is_refused(capsys: pytest.CaptureFixture[str]) -> No
     with pytest.raises(SystemExit) as ended:
         main(["fly"])
     assert ended.value.code == 2
-    assert "invalid choice: 'fly'" in capsys.readouterr().err
+    assert 'no command "fly"; expected one of demo, run, ' in capsys.readouterr().err
+    with pytest.raises(SystemExit) as caught:
+        main(["reply", "x.mcap"])
+    assert caught.value.code == 2
+    assert capsys.readouterr().err.endswith('did you mean "replay"?\n')
+
+
+def test_an_unknown_option_is_refused_by_the_command_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["demo", "--sped", "3"])
+    assert caught.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("usage: navbridge demo ")
+    assert error.endswith('unrecognized arguments: --sped; did you mean "--speed"?\n')
+
+
+@pytest.mark.parametrize("command", [["demo", "--mavlink", "none"], ["run", "bench"]])
+def test_a_capture_that_cannot_be_written_is_told_before_anything_is_compiled(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def late(*_: object) -> None:
+        raise AssertionError("too late")
+
+    monkeypatch.setattr("bridge.engine.warm_up", late)
+    for place, reason in ((tmp_path, "it is a folder"), (tmp_path / "none" / "a.mcap", "there is no folder")):
+        assert main([*command, "--out", str(place)]) == 1
+        error = capsys.readouterr().err
+        assert error.startswith(f"navbridge: {place}: cannot write the capture: {reason}")
+        assert error.count("\n") == 1
 
 
 def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
