@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
@@ -15,7 +16,8 @@ from nav.earth import EARTH_RATE, ecef, position_quat, xyz_to_geodetic
 from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_rotate, skew
 from nav.types import Vector
 
-_EYE = np.eye(3)
+LATITUDES: Final = 0.0053  # of gravity, from the equator to a pole
+_EYE: Final = np.eye(3)
 
 
 def _at(part: slice) -> slice:
@@ -129,14 +131,14 @@ def contradiction(e: constant.Estimate, solved: Solved, lat: float) -> str | Non
         size = float(np.linalg.norm(v))
         out.append((size, math.sqrt(float(v @ H @ e.P @ H.T @ v)) / size))
     (gravity, sigma_gravity), (turn, sigma_turn) = out
-    if abs(gravity - 1.0) > 5.0 * sigma_gravity:
+    if abs(gravity - 1.0) > max(LATITUDES, 5.0 * sigma_gravity):
         return (
             f"specific force is {gravity:.4f} of gravity: an accelerometer is stuck or badly calibrated, "
             "or the base is moved"
         )
-    if abs(turn - 1.0) > 5.0 * sigma_turn:
+    if abs(turn - 1.0) > 5.0 * sigma_turn or abs(gravity - 1.0) > 5.0 * sigma_gravity:
         return (
-            f"gravity turns {turn:.3f} times as fast as it does at latitude {math.degrees(lat):.2f} deg: the "
-            "latitude is wrong, or the base is moved"
+            f"gravity is {gravity:.5f} of, and turns {turn:.3f} times as fast as, that at latitude "
+            f"{math.degrees(lat):.2f} deg: latitude or calibration are wrong, or the base is moved"
         )
     return "gravity does not turn as it does here: latitude or calibration are wrong, or the base is moved"
