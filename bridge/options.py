@@ -116,6 +116,9 @@ class AlignOptions(Table):
     ``replay_samples`` of what they kept with every sample that comes. What is known from outside, for the
     stored alignment: ``known_heading_deg`` of the vehicle, or ``known_attitude_deg`` (its pitch, roll and
     heading); the latter's sigmas are of the level and of the heading.
+
+    ``slip_m_s`` is how fast the vehicle moves sideways on a straight road, ``slope_deg`` how much the ground
+    is inclined where it stands at first, both one sigma.
     """
 
     coarse_s: Positive = 60.0
@@ -132,6 +135,8 @@ class AlignOptions(Table):
     known_heading_sigma_deg: Positive = 1.0
     known_attitude_deg: Three | None = None
     known_attitude_sigma_deg: tuple[Positive, Positive] = (0.1, 1.0)
+    slip_m_s: Positive = 0.02
+    slope_deg: Positive = 2.0
 
 
 class HeightChannel(Table):

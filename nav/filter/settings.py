@@ -178,6 +178,10 @@ def align_config(config: NavigatorConfig) -> AlignConfig:
         gnss_lever_arm=config.gnss_lever_arm,
         gnss_velocity_age=config.gnss_velocity_age,
         C_vb=config.C_vb,
+        odometer_lever_arm=config.odometer_lever_arm,
+        odometer_quantum=config.odometer_quantum,
+        odometer_scale=config.odometer_scale,
+        sigma_mounting=config.sigma_mounting,
     )
 
 
