@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from bridge.frame import Event
+
 ROOT = Path(__file__).parents[2]
 ROOMS = ("bridge", "nav", "dbc", "virtual_bus")
 MODULES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
@@ -30,3 +32,11 @@ def test_nav_and_drivers_read_no_clock_and_draw_no_random_number() -> None:
     )
     found = [str(p.relative_to(ROOT)) for p in pure if forbidden.search(p.read_text())]
     assert not found
+
+
+@pytest.mark.parametrize("event", list(Event), ids=lambda event: event.name)
+def test_every_kind_of_event_is_written_by_the_border(event: Event) -> None:
+    """A kind that nobody writes is a promise that is not kept."""
+    border = [ROOT / "bridge" / "live.py", *(ROOT / "bridge" / "sources").glob("*.py")]
+    written = re.compile(rf"\bEvent\.{event.name}\b")
+    assert any(written.search(path.read_text()) for path in border)
