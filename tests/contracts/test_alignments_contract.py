@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+import re
 import sys
 import types
 from dataclasses import fields, replace
@@ -12,16 +13,19 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 import cantools
+import msgspec
 import numpy as np
 import pytest
 
 from bridge.commands import CONFIGURED, METHODS, CommandCode, Reason, Result, judge
 from bridge.config import ATTACHMENT, Config
 from bridge.engine import Engine
+from bridge.navigators import navigator_config
+from bridge.options import AlignOptions
 from bridge.outputs import Progress
 from nav.align import ALIGNMENTS, AlignConfig, AlignStatus, NavInit, advance, begin, result, store
 from nav.align.store import Track
-from nav.rotation import quat_conjugate, quat_multiply, rotvec_from_quat
+from nav.rotation import dcm_from_quat, euler_from_dcm, quat_conjugate, quat_multiply, rotvec_from_quat
 from nav.types import ImuSample, Sample
 from tests.contracts.journeys import CONFIG, journey, only, with_a_gap
 from tests.engine.made import bench_frames
@@ -268,6 +272,47 @@ def test_what_never_ends_does_not_grow(name: str, where: str, monkeypatch: pytes
             assert not (status.done and lap > 0), "it was not meant to end"
         sizes.append(size_of(run_.state))
     assert sizes[2] < 1.25 * max(sizes[0], sizes[1]) + 20_000, sizes
+
+
+EVERY_OPTION = """
+coarse_s = 61.0
+fine_s = 239.0
+position_deg_m = [47.0, 8.0, 400.0]
+position_sigma_m = 9.0
+sway_m_s = 0.004
+rest_s = 4.0
+heading_deg = 1.0
+window_s = 41.0
+store_s = 901.0
+replay_samples = 65
+known_heading_deg = 40.0
+known_heading_sigma_deg = 2.0
+known_attitude_deg = [1.0, 2.0, 40.0]
+known_attitude_sigma_deg = [0.2, 2.0]
+slip_m_s = 0.01
+slope_deg = 1.0
+"""
+
+
+def test_every_field_of_its_configuration_can_be_configured() -> None:
+    attachments, _ = bench_frames(3.0)
+    head, table, rest = attachments[ATTACHMENT].decode().partition("[navigator.main.align]\n")
+    text = head.replace("[navigator.main]\n", "[navigator.main]\ngnss_velocity_age_ms = 100.0\n")
+    text += table + EVERY_OPTION + rest[rest.index("[") :]
+    align = navigator_config("main", Config.from_files({**attachments, ATTACHMENT: text.encode()})).align
+    assert align is not None
+    plain = AlignConfig(0.0, 0.0, 0.0, 0.0)
+    names = [each.name for each in fields(AlignConfig)]
+    same = [n for n in names if str(getattr(align, n)) == str(getattr(plain, n))]
+    assert same == []
+    assert {option.name for option in msgspec.structs.fields(AlignOptions)} == set(
+        re.findall(r"^(\w+) =", EVERY_OPTION, re.M)
+    )
+    assert align.heading == pytest.approx((math.radians(40.0), math.radians(2.0)))
+    assert align.attitude is not None
+    heading, pitch, roll = euler_from_dcm(dcm_from_quat(align.attitude[0]) @ align.C_vb.T)
+    np.testing.assert_allclose(np.degrees([pitch, roll, heading]), [1.0, 2.0, 40.0])
+    np.testing.assert_allclose(np.degrees(align.attitude[1]), [0.2, 0.2, 2.0])
 
 
 # ---- from the configuration, through the engine --------------------------------------------------------
