@@ -15,6 +15,7 @@ from nav.align.level import LEVEL
 from nav.align.match import MATCH
 from nav.align.moving_compass import MOVING
 from nav.align.odometer import ODOMETER
+from nav.align.open_loop import OPEN_LOOP
 from nav.align.static import ANALYTIC, COARSE
 from nav.align.types import (
     AlignConfig,
@@ -32,6 +33,7 @@ ALIGNMENTS: Final[dict[str, Alignment]] = {
     "static": Alignment(needs=frozenset(), stages=(COARSE, FINE)),
     "motion": Alignment(needs=frozenset({"gnss"}), stages=(LEVEL, MATCH)),
     "analytic": Alignment(needs=frozenset(), stages=(ANALYTIC,)),
+    "open_loop": Alignment(needs=frozenset(), stages=(COARSE, OPEN_LOOP)),
     "gyrocompass": Alignment(needs=frozenset(), stages=(ONCE,)),
     "rapid_gyrocompass": Alignment(needs=frozenset(), stages=(RAPID,)),
     "moving_gyrocompass": Alignment(needs=frozenset({"odometer"}), stages=(MOVING,)),

@@ -187,20 +187,29 @@ def coarse_covariance(config: AlignConfig, C_gb: Vector, lat: float, height: flo
 
     Errors are true minus estimate. Eq. (2-104) with the strapdown sign, the biases in b.
     """
-    seconds = still.seconds
+    by_rate, by_force = sensitivities(lat, height)
+    # a mean force is off by the velocity that it begins and ends with
+    force = config.velocity_random_walk**2 / still.seconds + 2.0 * (config.sway / still.seconds) ** 2
+    noise = by_rate @ C_gb @ watch.rate_covariance(still, config) @ C_gb.T @ by_rate.T
+    return with_constants(config, C_gb, lat, height, noise + by_force @ by_force.T * force)
+
+
+def sensitivities(lat: float, height: float) -> tuple[Vector, Vector]:
+    """d phi / d rate error and d phi / d force error, (3, 3) each, in g: eq. (2-104), strapdown."""
     g, north = normal_gravity(math.sin(lat), height), EARTH_RATE * math.cos(lat)
-    by_rate = np.zeros((3, 3))
+    by_rate, by_force = np.zeros((3, 3)), np.zeros((3, 3))
     by_rate[2, 0] = -1.0 / north
-    by_force = np.zeros((3, 3))
     by_force[0, 1], by_force[1, 0], by_force[2, 0] = -1.0 / g, 1.0 / g, math.tan(lat) / g
+    return by_rate, by_force
+
+
+def with_constants(config: AlignConfig, C_gb: Vector, lat: float, height: float, noise: Vector) -> Vector:
+    """Covariance (12, 12) as of `coarse_covariance`: ``noise`` (3, 3) of phi and the constant errors."""
+    by_rate, by_force = sensitivities(lat, height)
     eps2, nab2 = config.gyro_bias**2, config.accel_bias**2
     P = np.zeros((12, 12))
     P[_VEL, _VEL] = np.eye(3) * config.sway**2
-    noise = C_gb @ watch.rate_covariance(still, config) @ C_gb.T
-    P[_PHI, _PHI] = by_rate @ (noise + np.eye(3) * eps2) @ by_rate.T
-    # a mean force is off by the velocity that it begins and ends with
-    swing = 2.0 * (config.sway / seconds) ** 2
-    P[_PHI, _PHI] += by_force @ by_force.T * (nab2 + config.velocity_random_walk**2 / seconds + swing)
+    P[_PHI, _PHI] = noise + by_rate @ by_rate.T * eps2 + by_force @ by_force.T * nab2
     P[_PHI, _PHI] += np.eye(3) * 1e-14
     P[_PHI, _EPS] = by_rate @ C_gb * eps2
     P[_PHI, _NAB] = by_force @ C_gb * nab2

@@ -180,3 +180,8 @@ def block(still: Still) -> tuple[Vector, Vector, Vector, float]:
     """Rotation (3, 3), velocity (3,), displacement (3,) in b at the block's start, and its seconds."""
     p = still.block
     return p[R].reshape(3, 3), p[V], p[P], float(p[DT])
+
+
+def sums(still: Still) -> tuple[Vector, Vector, float]:
+    """Sums of the angle (3,) and velocity (3,) increments of the open block, b, and its seconds."""
+    return still.block[_TURN], still.block[_PUSH], float(still.block[DT])
