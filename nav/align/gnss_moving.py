@@ -302,10 +302,13 @@ def _round(row: Vector, sigma: Vector) -> Vector:
 
 def _swing(track: Tracker, row: Vector, t_ns: int, lever: Vector) -> Vector:
     """Velocity (3,) m/s, b0, of the antenna against the IMU."""
-    before = at(track, t_ns - round(LEVER_S * 1e9))
+    half = round(0.5 * LEVER_S * 1e9)
+    before, after = at(track, t_ns - half), at(track, t_ns + half)
     if before is None:
         return _ZERO
-    return np.asarray((attitude(row) - attitude(before)) @ lever / (row[A_T] - before[A_T]))
+    if after is None:
+        after = row
+    return np.asarray((attitude(after) - attitude(before)) @ lever / (after[A_T] - before[A_T]))
 
 
 def _stopped(state: Drive, old: Vector, row: Vector, r_e: Vector, fix: GnssFix) -> tuple[Rest, bool]:

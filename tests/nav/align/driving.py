@@ -73,9 +73,12 @@ def ticks(trajectory, t_ns, scale=1.0, tick=TICK):
     return [OdoSample(int(t), dt, float(d), False, "odo") for t, d in zip(t_ns[1:], distance, strict=True)]
 
 
-def fixes(trajectory, t_ns, rng, white, correlated, tau, velocity=None):
-    """Fixes of the IMU's place: white and lasting errors m (level; twice that in height), velocity m/s."""
-    motion = trajectory.motion(t_ns)
+def fixes(trajectory, t_ns, rng, white, correlated, tau, velocity=None, antenna=None):
+    """Fixes of the IMU's place, or of ``antenna`` (m, vehicle axes).
+
+    White and lasting errors in m, of velocity in m/s, are level ones; height has twice as much.
+    """
+    motion = trajectory.motion(t_ns, antenna)
     n, dt = len(t_ns), (t_ns[1] - t_ns[0]) * 1e-9
     size = np.array([1.0, 1.0, 2.0])
     keep = math.exp(-dt / tau)
@@ -105,5 +108,6 @@ def fixes(trajectory, t_ns, rng, white, correlated, tau, velocity=None):
 
 
 def merged(*streams):
-    """Samples in the order of their times; of equal times the first stream's first."""
-    return sorted((s for stream in streams for s in stream), key=lambda s: s.t_ns)
+    """Samples in the order of arrival: a fix takes 60 ms; of equal times the first stream's is first."""
+    every = (s for stream in streams for s in stream)
+    return sorted(every, key=lambda s: s.t_ns + (60_000_000 if isinstance(s, GnssFix) else 0))
