@@ -59,6 +59,7 @@ CRAB: Final = 0.005  # rad between the vehicle's axis and its path: camber, side
 CRAB_WAY: Final = 12.5  # m over which that stays
 SIGMAS: Final = 6.0
 DOUBT: Final = 4.0
+OFTEN: Final = 0.1  # of the blocks: more than wheels slip
 SLIPS: Final = 3  # in a row are too many
 UNSURE: Final = 1e-7  # rad/s: Earth's rate about north where latitude is off by a tenth of a degree
 FIRST: Final = (0.3, math.radians(0.5), math.radians(3.0))  # m/s, level, heading: far wider than the loops
@@ -160,6 +161,7 @@ class Weights:
         self.rate = np.zeros(2)
         self.turned = 0.0  # rad, by how much heading was corrected
         self.slips = 0  # innovations refused in a row
+        self.blocks = 0
         self.slipped = 0  # times that the way was begun anew
         self.reason: str | None = None  # what was wrong with the way or the sensors
         C_vb = config.C_vb
@@ -223,6 +225,7 @@ class Weights:
         self.P = transition @ (self.P + Q) @ transition.T + Q
         self.way += float(sums[_S_WAY + 1])
         if path is not None:
+            self.blocks += 1
             self._update(sums, tau, np.eye(SIZE) - 0.5 * F, J / tau, M / tau, path - self.start)
 
     def _update(self, sums: Vector, tau: float, back: Vector, J: Vector, M: Vector, path: float) -> None:
@@ -293,6 +296,11 @@ class Weights:
     def doubt(self) -> str | None:
         """What speaks against the result, or None: the way, the sensors, Earth's rate as it was felt."""
         if self.reason is not None:
+            if self.slipped > OFTEN * self.blocks:
+                return (
+                    f"odometer and inertial sensors disagree in {self.slipped} of {self.blocks} seconds: "
+                    "latitude, mounting or calibration are wrong"
+                )
             return self.reason
         k = RATE.stop - 1
         sigma = math.hypot(math.sqrt(self.P[k, k]), UNSURE)

@@ -27,7 +27,7 @@ def look(stuck: Stuck, store: Store, doubtful: bool = False) -> tuple[Stuck, str
     """
     count = store.imu.count
     dt = float(store.imu.back(count, 1).dt[0])
-    rows = store.imu.back(count, min(MOST, int(LOOK_S / dt))).rows
+    rows = store.imu.back(count, min(MOST, max(FEWEST, int(LOOK_S / dt)))).rows
     if len(rows) < FEWEST:
         return stuck, None
     alike = (rows == rows[0]).all(axis=0).tolist()
