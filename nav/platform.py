@@ -130,10 +130,11 @@ def command_rate(x: Vector, u: Vector) -> tuple[float, float, float]:
     """
     ex, ey, ez, h, vx, vy = x[13], x[14], x[15], x[16], x[4], x[5]
     kxx, kxy, kyy = curvature(ex, ey, ez, h)
+    tx, ty = -kxy * vx - kyy * vy, kxx * vx + kxy * vy
     return (
-        EARTH_RATE * ex - kxy * vx - kyy * vy + u[U_WC],
-        EARTH_RATE * ey + kxx * vx + kxy * vy + u[U_WC + 1],
-        EARTH_RATE * ez + vertical_rate(u, ex, ey, ez, h, vx, vy) + u[U_WC + 2],
+        EARTH_RATE * ex + tx + u[U_WC],
+        EARTH_RATE * ey + ty + u[U_WC + 1],
+        EARTH_RATE * ez + vertical_rate(u, ex, ey, ez, tx, ty) + u[U_WC + 2],
     )
 
 

@@ -181,7 +181,7 @@ def test_two_vectors_give_the_rotation_and_how_errors_move_it():
 
 def test_equal_weights_along_all_axes_are_wahbas_problem():
     rng = np.random.default_rng(5)
-    C, x = made(rng)
+    _, x = made(rng)
     A = np.diag([4.0, 1.0, 0.2]) * 1e6
     x[con.MAT] += 0.05 * rng.standard_normal(9)
     P = np.eye(con.SIZE)
@@ -317,7 +317,9 @@ def changed(samples, begin_s, change_):
 @pytest.mark.parametrize("name", ["inertial", "inertial_wahba"])
 def test_a_push_is_named(name):
     _, samples, _, _ = swaying(7)
-    pushed = changed(samples, 60.0, lambda s, t: s._replace(dv=s.dv + [0.02, 0.0, 0.0]) if t < 0.4 else s)
+    pushed = changed(
+        samples, 60.0, lambda s, t: s._replace(dv=s.dv + np.array([0.02, 0.0, 0.0])) if t < 0.4 else s
+    )
     _, _, refusals = align(name, pushed)
     assert "pushed or moves" in refusals[0]
 
