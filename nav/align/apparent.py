@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE, ecef, gravity_g, position_matrix
 from nav.jit import kernel
-from nav.rotation import dcm_from_quat, exponential, multiply, skew
+from nav.rotation import exponential, multiply
 from nav.strapdown.kernels import increments
 from nav.types import Vector
 
@@ -37,8 +37,6 @@ A_SIZE: Final = 47
 Times = NDArray[np.int64]
 
 RING: Final = 1024  # rows remembered: two seconds at 1 kHz
-
-W_E: Final = np.array([0.0, 0.0, EARTH_RATE])
 
 
 class Tracker(NamedTuple):
@@ -236,15 +234,28 @@ def change(a: Vector, b: Vector) -> Change:
         dv=dv,
         dp=dp,
         A=b[A_A:A_B].reshape(3, 3) - A_a,
-        B=b[A_B:A_E].reshape(3, 3) - B_a - skew(dv) @ A_a,
+        B=b[A_B:A_E].reshape(3, 3) - B_a - cross_matrix(dv) @ A_a,
         E=(b[A_E:A_D] - a[A_E:A_D]).reshape(3, 3) - A_a * dt,
-        D=(b[A_D:A_SIZE] - a[A_D:A_SIZE]).reshape(3, 3) - B_a * dt - skew(dp) @ A_a,
+        D=(b[A_D:A_SIZE] - a[A_D:A_SIZE]).reshape(3, 3) - B_a * dt - cross_matrix(dp) @ A_a,
     )
 
 
 def attitude(row: Vector) -> Vector:
     """C_b0b (3, 3) of a row."""
-    return np.asarray(dcm_from_quat(row[A_Q : A_Q + 4]))
+    C = np.empty(9)
+    _matrix(row[1], row[2], row[3], row[4], C)
+    return C.reshape(3, 3)
+
+
+def cross_matrix(v: Vector) -> Vector:
+    """[v x] (3, 3) of one vector (3,): `nav.rotation.skew` without its leading axes."""
+    x, y, z = v.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def spin(r: Vector) -> Vector:
+    """w_ie x r (3,) in Earth-fixed axes, or in those they were at the beginning."""
+    return np.array([-EARTH_RATE * float(r[1]), EARTH_RATE * float(r[0]), 0.0])
 
 
 def C_i0g(start_lat: float, lat: float, lon_since: float, seconds: float) -> Vector:
@@ -315,7 +326,7 @@ def inertial(lat: float, lon: float, height: float) -> Inertial:
 def _attraction(lat: float, lon_since: float, height: float, r: Vector, seconds: float) -> Vector:
     """Gravitation: gravity without what turning with the Earth takes off."""
     g = position_matrix(lat, lon_since + EARTH_RATE * seconds) @ gravity_g(lat, height)
-    return np.asarray(g + np.cross(W_E, np.cross(W_E, r)))
+    return np.asarray(g + spin(spin(r)))
 
 
 def reach(path: Inertial, lat: float, lon: float, height: float, seconds: float) -> tuple[Inertial, Vector]:
@@ -336,7 +347,7 @@ def felt(path: Inertial, r: Vector, v_i: Vector | None) -> tuple[Vector, Vector]
     In i0; ``r`` (3,) and ``v_i`` (3,) position and inertial velocity in the path's axes at its last epoch;
     without a velocity that of the Earth is taken.
     """
-    start = np.cross(W_E, path.r_0)
-    v = np.cross(W_E, r) if v_i is None else v_i
+    start = spin(path.r_0)
+    v = spin(r) if v_i is None else v_i
     C_i0e = position_matrix(path.lat, 0.0).T
     return C_i0e @ (v - start - path.once), C_i0e @ (r - path.r_0 - start * path.seconds - path.twice)

@@ -19,9 +19,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nav.align.apparent import Change
+from nav.align.apparent import Change, cross_matrix
 from nav.align.types import AlignConfig
-from nav.rotation import dcm_from_quat, skew
+from nav.rotation import dcm_from_quat, quat_from_rotvec, skew
 from nav.types import Vector
 
 MAT: Final = slice(0, 9)  # C_b0i0 by rows
@@ -61,10 +61,10 @@ def predict(
 ) -> Estimate:
     """Over a change of the rows; ``walk`` (3, 3) m^2/s drives the offset, which lasts ``forget_s``."""
     F = np.eye(SIZE)
-    force = skew(c.dv)
+    force = cross_matrix(c.dv)
     F[THETA, EPS] = -c.A
     F[VEL, THETA], F[VEL, EPS], F[VEL, NAB] = -force, c.B, -c.A
-    F[POS, VEL], F[POS, THETA] = _EYE * c.dt, -skew(c.dp)
+    F[POS, VEL], F[POS, THETA] = _EYE * c.dt, -cross_matrix(c.dp)
     F[POS, EPS], F[POS, NAB] = c.D, -c.E
     F[OFFSET, OFFSET] *= math.exp(-c.dt / forget_s)
     Q = np.zeros((SIZE, SIZE))
@@ -132,7 +132,7 @@ class Solved(NamedTuple):
 
 def _by_elements(C: Vector) -> Vector:
     """d vec(C) / d psi (9, 3)."""
-    return np.stack([(_CROSS[k] @ C).ravel() for k in range(3)], axis=1)
+    return np.ascontiguousarray((_CROSS @ C).reshape(3, 9).T)
 
 
 def _q_method(B: Vector) -> Vector:
@@ -165,7 +165,7 @@ def attitude_of_all(e: Estimate) -> Solved | None:
         A = J.T @ weight @ J
         psi = np.asarray(np.linalg.solve(A, J.T @ weight @ (m - C.ravel())), np.float64)
         C = _turned(C, psi)
-        if float(np.abs(psi).max()) < 1e-12:
+        if float(np.abs(psi).max()) < 1e-10:
             break
     J = _by_elements(C)
     sigma = np.asarray(np.linalg.inv(J.T @ weight @ J), np.float64)
@@ -212,8 +212,7 @@ def _turned(C: Vector, psi: Vector) -> Vector:
     angle = float(np.linalg.norm(psi))
     if angle > 0.5:
         psi = psi * (0.5 / angle)
-    q = np.concatenate([[1.0], 0.5 * psi])
-    return np.asarray(dcm_from_quat(q / np.linalg.norm(q))) @ C
+    return np.asarray(dcm_from_quat(quat_from_rotvec(psi))) @ C
 
 
 def _joint(C: Vector, x: Vector, sigma: Vector, cross: Vector, P: Vector, misfit: float) -> Solved:

@@ -20,7 +20,6 @@ from nav.align.apparent import (
     A_P,
     A_T,
     A_V,
-    W_E,
     Inertial,
     Tracker,
     add,
@@ -31,6 +30,7 @@ from nav.align.apparent import (
     inertial,
     present,
     reach,
+    spin,
     tracker,
     turn,
 )
@@ -92,6 +92,7 @@ class Drive(NamedTuple):
     odd: int = 0
     solved: Solved | None = None
     status: AlignStatus | None = None
+    w_in_g: Vector = _ZERO  # rad/s, with the velocity of the last epoch
     v_g: Vector = _ZERO
     place: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the antenna at the last epoch
     t_ns: int = 0
@@ -159,13 +160,8 @@ def step(state: Drive, sample: Sample) -> tuple[Drive, AlignStatus]:
         return state, status._replace(done=False, refusal=reason)
     if status.estimate is None or status.done or state.track is None or state.row is None:
         return state, status
-    q_gb = present(state.track, state.row, status.estimate, _w_in_g(state), _ZERO)
+    q_gb = present(state.track, state.row, status.estimate, state.w_in_g, _ZERO)
     return state, AlignStatus(q_gb, status.covariance, status.limit, status.progress, False)
-
-
-def _w_in_g(state: Drive) -> Vector:
-    lat, _, height = state.place
-    return earth_rate_g(lat) + transport_rate_g(lat, height, state.v_g)
 
 
 def _add(state: Drive, track: Tracker, sample: ImuSample) -> tuple[Drive, str | None]:
@@ -225,7 +221,7 @@ def _epoch(state: Drive, track: Tracker, row: Vector, t_ns: int, fix: GnssFix) -
     v_i = None
     since = math.remainder(place[1] - path.lon, 2.0 * math.pi)
     if fix.v_g is not None:
-        v_i = turn(seconds) @ (position_matrix(place[0], since) @ fix.v_g) + np.cross(W_E, r)
+        v_i = turn(seconds) @ (position_matrix(place[0], since) @ fix.v_g) + spin(r)
     e = constant.predict(
         state.estimate,
         change(old, row),
@@ -350,7 +346,10 @@ def _solve(state: Drive, done: bool) -> tuple[Drive, str | None]:
     progress = 1.0 if done else min(0.99, float(row[A_T]) / _duration(state.config))
     status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, progress, done)
     v_g = C_gb @ attitude(row).T @ v_b0
-    return state._replace(solved=solved, status=status, v_g=v_g), contradiction(e, solved, path.lat)
+    lat, _, height = state.place
+    w_in_g = earth_rate_g(lat) + transport_rate_g(lat, height, v_g)
+    state = state._replace(solved=solved, status=status, v_g=v_g, w_in_g=w_in_g)
+    return state, contradiction(e, solved, path.lat)
 
 
 def _velocity(state: Drive, solved: Solved, row: Vector) -> tuple[Vector, Vector]:

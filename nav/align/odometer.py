@@ -35,6 +35,7 @@ from nav.align.apparent import (
     add,
     at,
     attitude,
+    cross_matrix,
     gravity_integrals,
     polar_axis,
     present,
@@ -56,7 +57,7 @@ from nav.earth import (
     position_matrix,
     xyz_to_geodetic,
 )
-from nav.rotation import quat_from_dcm, skew
+from nav.rotation import quat_from_dcm
 from nav.types import GnssFix, ImuSample, OdoSample, Sample, Vector
 
 EPOCH_S: Final = 3.0
@@ -263,7 +264,7 @@ def _close(state: Ride, row: Vector, frame: Window) -> tuple[Ride, str | None]:
     square += offset * (2.0 * early - offset)
     once, twice = gravity_integrals(lat, height, seconds)
     g_i0 = C_i0g(lat, lat, 0.0, seconds) @ gravity_g(lat, height)
-    further = -EARTH_RATE * skew(mean[_DD])
+    further = -EARTH_RATE * cross_matrix(mean[_DD])
     H = constant.design(twice + once * early - 0.5 * square * g_i0, further, polar_axis(lat))
     H[:, POS], H[:, VEL], H[:, OFFSET] = -_EYE, -early * _EYE, _EYE
     H[:, START] = -(seconds + early) * _EYE
