@@ -17,6 +17,7 @@ from nav.align.moving_compass import MOVING
 from nav.align.odometer import ODOMETER
 from nav.align.open_loop import OPEN_LOOP
 from nav.align.static import ANALYTIC, COARSE
+from nav.align.stored import STORED
 from nav.align.types import (
     AlignConfig,
     Alignment,
@@ -34,6 +35,7 @@ ALIGNMENTS: Final[dict[str, Alignment]] = {
     "motion": Alignment(needs=frozenset({"gnss"}), stages=(LEVEL, MATCH)),
     "analytic": Alignment(needs=frozenset(), stages=(ANALYTIC,)),
     "open_loop": Alignment(needs=frozenset(), stages=(COARSE, OPEN_LOOP)),
+    "stored": Alignment(needs=frozenset({"heading"}), stages=(STORED,)),
     "gyrocompass": Alignment(needs=frozenset(), stages=(ONCE,)),
     "rapid_gyrocompass": Alignment(needs=frozenset(), stages=(RAPID,)),
     "moving_gyrocompass": Alignment(needs=frozenset({"odometer"}), stages=(MOVING,)),

@@ -39,18 +39,21 @@ _ZERO: Final = np.zeros(3)
 _VEL, _PHI, _EPS, _NAB = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 
 
-def limits(config: AlignConfig, lat: float, height: float, seconds: float) -> Vector:
+def limits(config: AlignConfig, lat: float, height: float, seconds: float, settles: bool = True) -> Vector:
     """Standard deviations (3,), rad about east, north, up, that a static alignment cannot beat.
 
     Of sensors as in ``config`` at latitude ``lat`` (rad), in ``seconds``: constant biases, eq. (2-104), the
     angle random walk as a mean rate over the time, and the accelerometers' noise, which hides the level (as
-    a mean) and its rate of change (as the slope of a straight line: variance 12 q / T^3).
+    a mean) and, of a vehicle that ``settles``, its rate of change (as the slope of a straight line: variance
+    12 q / T^3). What averages rates alone takes the vehicle not to.
     """
     g = normal_gravity(math.sin(lat), height)
     north = EARTH_RATE * math.cos(lat)
     vrw, arw = config.velocity_random_walk / g, config.angle_random_walk
     level2 = (config.accel_bias / g) ** 2 + vrw**2 / seconds
-    rate2 = config.gyro_bias**2 + arw**2 / seconds + 12.0 * vrw**2 / seconds**3
+    rate2 = config.gyro_bias**2 + arw**2 / seconds
+    if settles:
+        rate2 += 12.0 * vrw**2 / seconds**3
     azimuth = math.sqrt(rate2 / north**2 + math.tan(lat) ** 2 * level2)
     return np.array([math.sqrt(level2), math.sqrt(level2), azimuth])
 
@@ -66,13 +69,13 @@ class Coarse(NamedTuple):
 class Meaning(NamedTuple):
     """What means over a standstill are taken for.
 
-    ``seconds`` of the configuration that its limit holds for; ``against`` what contradicts them at a
-    latitude, or None; ``solve`` the attitude C_gb (3, 3) and covariance (3, 3) of phi at latitude and height.
+    ``against`` what contradicts them at a latitude, or None; ``solve`` the attitude C_gb (3, 3) and
+    covariance (3, 3) of phi at latitude and height, or None; ``limit`` what cannot be beaten there.
     """
 
-    seconds: Callable[[AlignConfig], float]
     against: Callable[[AlignConfig, Still, float], str | None]
-    solve: Callable[[AlignConfig, Still, float, float], tuple[Vector, Vector]]
+    solve: Callable[[AlignConfig, Still, float, float], tuple[Vector, Vector] | None]
+    limit: Callable[[AlignConfig, float, float], Vector]
 
 
 def coarse_init(config: AlignConfig, given: NavInit | None) -> Coarse:
@@ -113,12 +116,13 @@ def _average(state: Coarse, sample: Sample, meaning: Meaning) -> tuple[Coarse, A
     lat, height = (place[0], place[2]) if place is not None else (0.8, 0.0)
     estimate, covariance = None, np.diag([1.0, 1.0, math.pi**2])
     if place is not None and still.blocks > 1 and reason is None:
-        C, covariance = meaning.solve(config, still, lat, height)
-        estimate = quat_from_dcm(C)
+        solved = meaning.solve(config, still, lat, height)
+        if solved is not None:
+            estimate, covariance = quat_from_dcm(solved[0]), solved[1]
     status = AlignStatus(
         estimate=estimate,
         covariance=covariance,
-        limit=limits(config, lat, height, meaning.seconds(config)),
+        limit=meaning.limit(config, lat, height),
         progress=min(1.0, still.seconds / config.coarse_s),
         done=ready and place is not None and reason is None,
         refusal=reason,
@@ -302,15 +306,18 @@ def standing_at(
     return (lat, lon, height), sigma_p
 
 
-def _whole(config: AlignConfig) -> float:
-    return config.coarse_s + config.fine_s
+def _of_both(config: AlignConfig, lat: float, height: float) -> Vector:
+    return limits(config, lat, height, config.coarse_s + config.fine_s)
+
+
+def limit_of_means(config: AlignConfig, lat: float, height: float) -> Vector:
+    """`limits` of what averaging alone is given."""
+    return limits(config, lat, height, config.coarse_s, settles=False)
 
 
 COARSE: Final = Stage(
-    init=coarse_init, step=average(Meaning(_whole, implausible, _by_triad)), finish=coarse_finish
+    init=coarse_init, step=average(Meaning(implausible, _by_triad, _of_both)), finish=coarse_finish
 )
 ANALYTIC: Final = Stage(
-    init=coarse_init,
-    step=average(Meaning(lambda config: config.coarse_s, implausible, _by_triad)),
-    finish=analytic_finish,
+    init=coarse_init, step=average(Meaning(implausible, _by_triad, limit_of_means)), finish=analytic_finish
 )
