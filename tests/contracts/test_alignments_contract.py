@@ -126,7 +126,9 @@ def _counting(way: str, taken: set[int]) -> Any:
     def counted(self: Track, place: int, most: int) -> Any:
         piece = original(self, place, most)
         first = place if way == "ahead" else place - len(piece.t_ns)
-        if piece.rows.shape[1] == 6:  # inertial
+        inertial = piece.rows.shape[1] == 6
+        # who asks whether a sensor is stuck looks at what came last
+        if inertial and (way == "ahead" or place < self.count):
             taken.update(range(first, min(first + len(piece.t_ns), self.count - NEWEST)))
         return piece
 
