@@ -11,6 +11,7 @@ from nav.align.compass import ONCE, RAPID
 from nav.align.fine import FINE
 from nav.align.gnss_moving import GNSS
 from nav.align.inertial import ALL, DOUBLE, SINGLE
+from nav.align.kalman import CLOSED, OPEN, PSI
 from nav.align.level import LEVEL
 from nav.align.match import MATCH
 from nav.align.moving_compass import MOVING
@@ -36,6 +37,9 @@ ALIGNMENTS: Final[dict[str, Alignment]] = {
     "analytic": Alignment(needs=frozenset(), stages=(ANALYTIC,)),
     "open_loop": Alignment(needs=frozenset(), stages=(COARSE, OPEN_LOOP)),
     "stored": Alignment(needs=frozenset({"heading"}), stages=(STORED,)),
+    "kalman_closed": Alignment(needs=frozenset(), stages=(COARSE, CLOSED)),
+    "kalman_open": Alignment(needs=frozenset(), stages=(COARSE, OPEN)),
+    "kalman_psi": Alignment(needs=frozenset(), stages=(COARSE, PSI)),
     "gyrocompass": Alignment(needs=frozenset(), stages=(ONCE,)),
     "rapid_gyrocompass": Alignment(needs=frozenset(), stages=(RAPID,)),
     "moving_gyrocompass": Alignment(needs=frozenset({"odometer"}), stages=(MOVING,)),

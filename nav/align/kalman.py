@@ -1,0 +1,239 @@
+"""Kalman filters of a static alignment, by which states they carry.
+
+All have the dynamics of an alignment at rest in psi form (`nav.errors.psi.alignment_dynamics`; at a known
+place psi and phi are the same) or a part of them:
+
+- `CLOSED`: ten states, level velocity, phi, gyro errors, level accelerometer errors; what it finds goes back
+  into the strapdown arithmetic with every block. "Inertial navigation", eq. (2-136) and the states before it.
+- `OPEN`: eight states, without velocity; level specific force is what is measured, nothing goes back. Eqs.
+  (2-137) to (2-139). Without a velocity to remember, sway is noise of every measurement and not
+  of its integral, so means over longer windows are taken, which fade in and out.
+- `PSI`: twelve states, with the vertical velocity and accelerometer; closed like the first. Excerpt on
+  psi-angle and phi-angle error models, eqs. (2.2.7), (2.2.9).
+
+Velocity is *computed minus true*, and true C_gb = (I + [phi x]) C_gb; accelerometer errors are what they read
+too much; gyro errors are drifts of a platform, which a strapdown gyro's reading has with the opposite
+sign. All in east, north, up: sensors of a vehicle at rest keep their directions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from nav.align import still as watch
+from nav.align.static import SIGMAS, limits, nav_init, standing_at
+from nav.align.still import Still
+from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
+from nav.earth import earth_rate_g, gravity_g, normal_gravity
+from nav.errors.psi import alignment_dynamics
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec
+from nav.types import ImuSample, Sample, Vector
+
+WINDOW_S: Final = 29  # blocks of a window without velocity, an odd number
+TILTED: Final = 0.005  # m/s^2 that such a window may differ by before anything is said
+_VEL, _PHI, _NAB, _EPS = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+
+
+class Model(NamedTuple):
+    """Which of the twelve states, what is measured, and whether it is fed back."""
+
+    keep: tuple[int, ...]
+    measured: tuple[int, ...]  # velocities, or, where these are no states, their rates
+
+    @property
+    def closed(self) -> bool:
+        """Whether velocity is a state: then corrections go back into the strapdown arithmetic."""
+        return self.measured[0] in self.keep
+
+
+TEN: Final = Model((0, 1, 3, 4, 5, 6, 7, 9, 10, 11), (0, 1))
+EIGHT: Final = Model((3, 4, 5, 6, 7, 9, 10, 11), (0, 1))
+TWELVE: Final = Model(tuple(range(12)), (0, 1, 2))
+
+
+class Filter(NamedTuple):
+    """State of the stage: strapdown attitude and velocity, what was fed back, what was not, covariance."""
+
+    config: AlignConfig
+    given: NavInit
+    still: Still
+    C: Vector  # C_gb (3, 3)
+    v: Vector  # (3,) m/s
+    biases: Vector  # (6,) rad/s, m/s^2 in b, fed back
+    x: Vector  # (12,) not fed back; places that the model lacks stay zero
+    P: Vector  # (12, 12); of the places that the model lacks as the coarse stage left it
+    status: AlignStatus
+    window: Vector  # (3,) sums of weights, and of weighted level specific force
+    blocks: int = 0  # in the window
+    seconds: float = 0.0
+
+
+def _to_states(C: Vector) -> Vector:
+    """T (12, 12): (velocity, phi, gyro bias, accelerometer bias), true minus estimate in b, to the states."""
+    T = np.zeros((12, 12))
+    T[_VEL, 0:3], T[_PHI, 3:6] = -np.eye(3), np.eye(3)
+    T[_EPS, 6:9], T[_NAB, 9:12] = -C, C
+    return T
+
+
+def init(config: AlignConfig, given: NavInit | None) -> Filter:
+    """Begin from the coarse stage's attitude and covariance."""
+    assert given is not None
+    assert given.P is not None
+    C = dcm_from_quat(given.q_gb)
+    T = _to_states(C)
+    limit = limits(config, given.lat, given.height, config.coarse_s + config.fine_s)
+    status = AlignStatus(given.q_gb, given.P_phi, limit, 0.0, False)
+    P = T @ given.P[3:15, 3:15] @ T.T
+    zeros = (np.zeros(3), np.zeros(6), np.zeros(12))
+    return Filter(config, given, Still(), C, *zeros, P, status, np.zeros(3))
+
+
+def stepping(model: Model) -> Callable[[Filter, Sample], tuple[Filter, AlignStatus]]:
+    """The step of a stage with these states."""
+
+    def step(state: Filter, sample: Sample) -> tuple[Filter, AlignStatus]:
+        """Propagate with every block and observe that it stands; wheels and GNSS may contradict."""
+        if isinstance(sample, ImuSample):
+            reason = watch.fault(sample)
+            still = watch.add(state.still, sample, state.biases[:3], state.biases[3:])
+            state = state._replace(still=still)
+            if reason is None and watch.full(still):
+                state, reason = _update(state, model)
+        else:
+            still, reason = watch.aid(state.still, sample)
+            state = state._replace(still=still)
+        if reason is not None:
+            return state, state.status._replace(done=False, refusal=reason)
+        return state, state.status
+
+    return step
+
+
+def _update(state: Filter, model: Model) -> tuple[Filter, str | None]:
+    """One block: strapdown, prediction, measurement, feedback."""
+    # here and not above: it brings all of SciPy's statistics, 0.7 s that other alignments have no use for
+    from filterpy.kalman import KalmanFilter
+
+    config, given = state.config, state.given
+    rotation, dv, _, dt = watch.block(state.still)
+    still, reason = watch.close(state.still, config)
+    g, w_ie = gravity_g(given.lat, given.height), earth_rate_g(given.lat)
+    gained = state.C @ dv + g * dt + 0.5 * dt**2 * np.cross(w_ie, g)
+    C = dcm_from_quat(quat_from_rotvec(-w_ie * dt)) @ state.C @ rotation
+    v = state.v + gained
+    F = alignment_dynamics(given.lat, normal_gravity(math.sin(given.lat), given.height), vertical=True)
+    keep, measured = np.array(model.keep), np.array(model.measured)
+    part = np.ix_(keep, keep)
+
+    kalman = KalmanFilter(dim_x=len(keep), dim_z=len(measured))
+    kalman.x = state.x[keep].reshape(-1, 1)
+    kalman.P = state.P[part]
+    kalman.F = _transition(F[part], dt)
+    # trapezoid over the interval: the tilt that walks within it moves the velocity
+    q = np.diag(_noise(config)[keep])
+    kalman.Q = 0.5 * dt * (q + kalman.F @ q @ kalman.F.T)
+    kalman.predict()
+    if model.closed:
+        window, blocks = state.window, 0
+        kalman.H = np.eye(12)[np.ix_(measured, keep)]
+        kalman.R = np.eye(len(measured)) * config.sway**2
+        z, floor = v[measured], watch.PUSHED
+    else:
+        window, blocks, z, back = _faded(state, gained[:2] / dt, dt)
+        # the mean is of the window's middle
+        kalman.H = F[np.ix_(measured, keep)] @ _transition(F[part], -back)
+        kalman.R = np.eye(2) * _mean_noise(config, dt)
+        floor = TILTED
+    if blocks == 0:
+        kalman.update(z.reshape(-1, 1))
+        reason = reason or _contradiction(kalman.y, kalman.S, floor, model)
+    x, P = np.zeros(12), state.P.copy()
+    x[keep] = np.asarray(kalman.x, dtype=np.float64).ravel()
+    P[part] = 0.5 * (np.asarray(kalman.P, dtype=np.float64) + np.asarray(kalman.P, dtype=np.float64).T)
+    biases = state.biases
+    if model.closed:
+        v = v - x[_VEL]
+        C = dcm_from_quat(quat_from_rotvec(x[_PHI])) @ C
+        biases = biases + np.concatenate([-C.T @ x[_EPS], C.T @ x[_NAB]])
+        x = np.zeros(12)
+    seconds = state.seconds + dt
+    status = AlignStatus(
+        estimate=quat_from_dcm(dcm_from_quat(quat_from_rotvec(x[_PHI])) @ C),
+        covariance=P[_PHI, _PHI],
+        limit=state.status.limit,
+        progress=min(1.0, seconds / config.fine_s),
+        done=seconds >= config.fine_s - 0.5 * watch.BLOCK_S,
+    )
+    return Filter(config, given, still, C, v, biases, x, P, status, window, blocks, seconds), reason
+
+
+def _noise(config: AlignConfig) -> Vector:
+    """Spectral densities (12,) of the states' white noise."""
+    q = np.zeros(12)
+    q[_VEL], q[_PHI] = config.velocity_random_walk**2, config.angle_random_walk**2
+    return q
+
+
+def _transition(F: Vector, dt: float) -> Vector:
+    """Of dynamics ``F`` (n, n) over ``dt`` s, also backwards; Earth turns little in that."""
+    A = F * dt
+    return np.asarray(np.eye(len(F)) + A + 0.5 * A @ A, dtype=np.float64)
+
+
+def _length(config: AlignConfig) -> int:
+    """Blocks of a window: an odd number, some windows to an alignment."""
+    return int(min(WINDOW_S, max(3, 2 * int(config.fine_s / 12.0) + 1)))
+
+
+def _weight(config: AlignConfig, k: int) -> float:
+    half = (_length(config) + 1) // 2
+    return float(half - abs(k + 1 - half))
+
+
+def _faded(state: Filter, force: Vector, dt: float) -> tuple[Vector, int, Vector, float]:
+    """Take a block into the window: it, its blocks (0: it is full), its mean, how far back that lies (s)."""
+    config, k = state.config, state.blocks
+    w = _weight(config, k)
+    window = state.window + w * np.array([1.0, force[0], force[1]])
+    if k + 1 < _length(config):
+        return window, k + 1, np.zeros(2), 0.0
+    return np.zeros(3), 0, window[1:] / window[0], 0.5 * _length(config) * dt
+
+
+def _mean_noise(config: AlignConfig, dt: float) -> float:
+    """Variance of a window's mean: accelerometer noise, and the velocity of the sway, differenced."""
+    w = np.array([_weight(config, k) for k in range(_length(config))])
+    w /= np.sum(w)
+    edges = np.diff(np.concatenate([[0.0], w, [0.0]]))
+    return float(w @ w * config.velocity_random_walk**2 / dt + edges @ edges * (config.sway / dt) ** 2)
+
+
+def _contradiction(y: Vector, S: Vector, floor: float, model: Model) -> str | None:
+    """Whether an innovation is no standstill's, in words."""
+    y, S = np.asarray(y, dtype=np.float64).ravel(), np.asarray(S, dtype=np.float64)
+    size = float(np.linalg.norm(y))
+    if float(y @ np.linalg.solve(S, y)) <= SIGMAS**2 or size <= floor:
+        return None
+    if model.closed:
+        return f"the vehicle moves: {size:.2f} m/s against a standstill"
+    return f"the vehicle moves or tilts: {size:.3f} m/s^2 against a standstill"
+
+
+def finish(state: Filter) -> NavInit:
+    """Attitude, biases and their covariance at the last sample."""
+    C = dcm_from_quat(quat_from_rotvec(state.x[_PHI])) @ state.C
+    T = np.linalg.inv(_to_states(C))
+    x = T @ state.x
+    x[6:] += state.biases
+    place, sigma_p = standing_at(state.config, state.given, state.still, C)
+    return nav_init(state.config, state.still.t_ns, place, sigma_p, C, x, T @ state.P @ T.T)
+
+
+CLOSED: Final = Stage(init=init, step=stepping(TEN), finish=finish)
+OPEN: Final = Stage(init=init, step=stepping(EIGHT), finish=finish)
+PSI: Final = Stage(init=init, step=stepping(TWELVE), finish=finish)
