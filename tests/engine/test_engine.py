@@ -79,7 +79,8 @@ def test_the_digest_is_that_of_the_solutions(drive: tuple[Engine, list[Output]])
     assert engine.digests() == {"main": chain.final()}
     assert of(Checkpoint, outputs) == [c for c in checkpoints if c is not None]
     # one a second from the first attitude of the alignment on
-    assert len(of(Checkpoint, outputs)) == pytest.approx(75, abs=5)
+    seconds = [out.solution.t_ns // S for out in of(SolutionOut, outputs)]
+    assert len(of(Checkpoint, outputs)) == seconds[-1] - seconds[0] > 60
 
 
 def test_a_replay_gives_the_same_outputs(drive: tuple[Engine, list[Output]]) -> None:
