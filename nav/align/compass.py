@@ -26,6 +26,7 @@ from nav.align.compass_course import (
     Course,
     Leg,
     attitude,
+    compile_loops,
     end_leg,
     first_state,
     go,
@@ -77,8 +78,8 @@ def _step(course: Course, sample: Sample) -> tuple[Course, AlignStatus]:
     reason = _take(course, sample)
     if reason is None and isinstance(sample, ImuSample) and course.origin is not None:
         reason = _work(course)
-        if reason is None:
-            return course, course.status or _status(course)
+    if reason is None and course.status is not None:
+        return course, course.status
     return course, _status(course, reason)
 
 
@@ -219,10 +220,12 @@ def _finish(course: Course) -> NavInit:
 
 
 def _begin_once(config: AlignConfig, given: NavInit | None) -> Course:
+    compile_loops(config)
     return Course(config, once(config), Store(config.store_s))
 
 
 def _begin_rapid(config: AlignConfig, given: NavInit | None) -> Course:
+    compile_loops(config)
     return Course(config, rapid(config), Store(config.store_s))
 
 

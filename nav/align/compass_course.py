@@ -110,6 +110,21 @@ def gains(leg: Leg, earth: Place, seconds: float) -> tuple[LevelGains, AzimuthGa
     return level_gains(sign * level, earth.gravity), azimuth_gains(sign * sigma, earth.gravity)
 
 
+def compile_loops(config: AlignConfig) -> None:
+    """Have everything compiled that a course needs later: not while samples come in."""
+    row, second = np.zeros((1, 6)), np.ones(1)
+    earth = place(0.5, 0.0)
+    level, azimuth = gains(Leg(COMPASS, True, 1.0, 100.0), earth, 0.0)
+    law = np.zeros(L_SIZE)
+    set_gains(law, earth, level, azimuth)
+    for ahead in (True, False):
+        x = head(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), 0.5, 0.0, 0.0)
+        lead(x, law, row, second, np.zeros((1, 3)), ahead)
+    ledger = Ledger(earth, np.eye(8), np.zeros((8, 8)))
+    ledger.advance(level, azimuth, 0.0, 1.0, True)
+    ledger.covariance(config)
+
+
 def place_course(course: Course, origin: tuple[float, float, float]) -> None:
     """Say where it is."""
     course.origin = origin

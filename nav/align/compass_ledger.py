@@ -28,9 +28,11 @@ from nav.align.compass_theory import (
     dynamics,
 )
 from nav.align.types import AlignConfig
+from nav.jit import kernel
 from nav.types import Vector
 
 TICK_S: Final = 1.0
+ROOM: Final = 128  # seconds by which the book grows
 SWAY_S: Final = 1.0  # correlation time of the base's motion
 _START, _CONSTANT, _NOISE = slice(0, STATES), slice(STATES, STATES + INPUTS), STATES + INPUTS
 _DOUBLINGS: Final = 5
@@ -55,6 +57,35 @@ def _transition(
     return phi, gamma @ G
 
 
+@kernel
+def _carry(phi: Vector, gamma: Vector, book: Vector, used: int, first: int) -> None:
+    """One tick, in place: ``book`` (8, n) becomes phi book, and gets the inputs' share of that second."""
+    old = np.empty(STATES)
+    for j in range(used):
+        for i in range(STATES):
+            old[i] = book[i, j]
+        for i in range(STATES):
+            total = 0.0
+            for k in range(STATES):
+                total += phi[i, k] * old[k]
+            book[i, j] = total
+    for i in range(STATES):
+        for j in range(INPUTS):
+            book[i, STATES + j] += gamma[i, j]
+            book[i, first + j] += gamma[i, j]
+
+
+@kernel
+def _squares(book: Vector, used: int, variance: Vector, P: Vector) -> None:
+    """Add to ``P`` (8, 8) what noise of ``variance`` (8,) an input makes, over all seconds in ``book``."""
+    for j in range(STATES + INPUTS, used):
+        q = variance[(j - STATES) % INPUTS]
+        for i in range(STATES):
+            a = q * book[i, j]
+            for k in range(STATES):
+                P[i, k] += a * book[k, j]
+
+
 class Ledger:
     """See the module. ``start`` (8, 8) is the covariance of the first state, ``known`` (8, 8) what of it the
     constant errors are the cause of.
@@ -63,10 +94,12 @@ class Ledger:
     def __init__(self, at: Place, start: Vector, known: Vector) -> None:
         self._at = at
         self._start = start
-        self._book = np.zeros((STATES, _NOISE))
+        self._book = np.zeros((STATES, _NOISE + INPUTS * ROOM))
+        self._used = _NOISE
         self._book[:, _START] = np.eye(STATES)
         self._book[:, _CONSTANT] = known
         self._rest = 0.0
+        self._noise: Vector | None = None  # of the last tick, once it has been asked for
 
     def advance(
         self, level: LevelGains, azimuth: AzimuthGains | None, begin: float, seconds: float, ahead: bool
@@ -85,11 +118,11 @@ class Ledger:
         phi, gamma = _transition(self._at, level, azimuth, TICK_S if ahead else -TICK_S)
         first = _NOISE + INPUTS * int(begin / TICK_S)
         if first + INPUTS > self._book.shape[1]:
-            more = np.zeros((STATES, first + INPUTS - self._book.shape[1]))
+            more = np.zeros((STATES, first + INPUTS * ROOM - self._book.shape[1]))
             self._book = np.hstack([self._book, more])
-        self._book = phi @ self._book
-        self._book[:, _CONSTANT] += gamma
-        self._book[:, first : first + INPUTS] += gamma
+        self._used = max(self._used, first + INPUTS)
+        self._noise = None
+        _carry(phi, gamma, self._book, self._used, first)
 
     def constants(self) -> tuple[Vector, Vector]:
         """Weights of constant errors of gyros (3, 3) and accelerometers (3, 3), g axes, in phi."""
@@ -98,16 +131,17 @@ class Ledger:
 
     def noise(self, config: AlignConfig) -> Vector:
         """Covariance (8, 8) of all but the constant errors: noise, motion of the base, the start."""
+        if self._noise is not None:
+            return self._noise
         P = self._book[:, _START] @ self._start @ self._book[:, _START].T
-        book = self._book[:, _NOISE:].reshape(STATES, -1, INPUTS)
-        for part, sigma in (
-            (EPS, config.angle_random_walk),
-            (NABLA, config.velocity_random_walk),
-            (BASE, config.sway * math.sqrt(2.0 * SWAY_S)),
-        ):
-            weights = book[:, :, part].reshape(STATES, -1) * (sigma / math.sqrt(TICK_S))
-            P += weights @ weights.T
-        return np.asarray(P)
+        variance = np.empty(INPUTS)
+        variance[EPS] = config.angle_random_walk**2 / TICK_S
+        variance[NABLA] = config.velocity_random_walk**2 / TICK_S
+        variance[BASE] = 2.0 * SWAY_S * config.sway**2 / TICK_S
+        P = np.ascontiguousarray(P)
+        _squares(self._book, self._used, variance, P)
+        self._noise = np.asarray(P)
+        return self._noise
 
     def from_start(self) -> float:
         """Standard deviation (rad) of what is left in heading of the state at the start."""

@@ -25,6 +25,7 @@ from nav.align.compass_course import (
     Course,
     Leg,
     attitude,
+    compile_loops,
     end_leg,
     first_ns,
     first_state,
@@ -45,7 +46,7 @@ from nav.align.stuck import look
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import ecef, position_quat, xyz_to_geodetic
 from nav.rotation import dcm_from_quat, quat_from_dcm, quat_rotate
-from nav.strapdown.kernels import X_C, X_H, X_V
+from nav.strapdown.kernels import X_C, X_H, X_HEAD, X_V
 from nav.types import FixType, GnssFix, ImuSample, OdoSample, Sample, Vector
 
 BLIND: Final = "blind"
@@ -152,11 +153,10 @@ def _roll(drive: Drive, sample: OdoSample) -> str | None:
 
 
 def _init(config: AlignConfig, given: NavInit | None) -> Drive:
-    drive = Drive(Course(config, plan(config), Store(config.store_s)))
+    compile_loops(config)
     if config.C_vb is not None:
-        # compiled before it is needed
-        Weights(config, np.zeros(18), 0.0).go(np.empty((0, 6)), np.empty(0))
-    return drive
+        Weights(config, np.zeros(X_HEAD), 0.0).go(np.empty((0, 6)), np.empty(0))
+    return Drive(Course(config, plan(config), Store(config.store_s)))
 
 
 def _step(drive: Drive, sample: Sample) -> tuple[Drive, AlignStatus]:
@@ -173,8 +173,8 @@ def _step(drive: Drive, sample: Sample) -> tuple[Drive, AlignStatus]:
             place_course(course, course.config.position)
         if course.origin is not None:
             reason = _inertial(drive, sample)
-            if reason is None:
-                return drive, course.status or _status(drive)
+    if reason is None and course.status is not None:
+        return drive, course.status
     return drive, _status(drive, reason)
 
 
