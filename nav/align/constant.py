@@ -35,6 +35,7 @@ OFFSET: Final = slice(27, 30)  # m, in b0: place at the beginning, what a refere
 WHEEL: Final = slice(30, 33)  # 1, rad, rad: odometer scale, mounting in heading and in pitch
 SIZE: Final = 33
 MISFIT: Final = 60.0  # chi-square of six degrees of freedom that no run of the mill data reach
+UNKNOWN: Final = 0.2  # rad: less is known of the rotation than its covariance can say
 _EYE: Final = np.eye(3)
 _CROSS: Final = skew(_EYE)  # [e_k x]
 
@@ -152,7 +153,7 @@ def attitude_of_all(e: Estimate) -> Solved | None:
 
     The weights are the inverse covariance that sensor noise, biases and disturbances give the elements. The
     q-method solves it with the mean of them over the axes of b0, which is exact where nothing prefers an
-    axis; a few Gauss-Newton steps put in what differs. None where the covariance is not one.
+    axis; a few Gauss-Newton steps put in what differs. None while it is not known to `UNKNOWN`.
     """
     try:
         weight = np.linalg.inv(e.P[MAT, MAT])
@@ -174,6 +175,8 @@ def attitude_of_all(e: Estimate) -> Solved | None:
     spread = gain @ J
     x = e.x - gain @ miss
     rest = e.P - gain @ e.P[MAT, :] + spread @ sigma @ spread.T
+    if float(np.trace(sigma)) > UNKNOWN**2:
+        return None
     return _joint(C, x, sigma, sigma @ spread[9:].T, rest, float(miss @ weight @ miss))
 
 
@@ -197,7 +200,10 @@ def two_vectors(e: Estimate, u_l: Vector, u_m: Vector) -> Solved | None:
     for i in range(3):
         G[:, 3 * i : 3 * i + 3] = np.outer(by_m[:, i], u_m) + np.outer(by_l[:, i], u_l)
     cross = G @ e.P[MAT, 9:]
-    return _joint(C, e.x, G @ e.P[MAT, MAT] @ G.T, cross, e.P, found.misfit)
+    sigma = G @ e.P[MAT, MAT] @ G.T
+    if float(np.trace(sigma)) > UNKNOWN**2:
+        return None
+    return _joint(C, e.x, sigma, cross, e.P, found.misfit)
 
 
 def _frame(first: Vector, second: Vector) -> Vector:

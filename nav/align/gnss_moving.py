@@ -338,12 +338,12 @@ def _solve(state: Drive, done: bool) -> tuple[Drive, str | None]:
     assert path is not None
     assert old is not None
     solved = constant.attitude_of_all(e)
+    progress = 1.0 if done else min(0.99, float(row[A_T]) / _duration(state.config))
     if solved is None:
-        return state, None
+        return state._replace(status=old._replace(progress=progress)), None
     since = math.remainder(state.place[1] - path.lon, 2.0 * math.pi)
     C_gb, P_phi = attitude_now(solved, row, path.lat, state.place[0], since)
     v_b0, _ = _velocity(state, solved, row)
-    progress = 1.0 if done else min(0.99, float(row[A_T]) / _duration(state.config))
     status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, progress, done)
     v_g = C_gb @ attitude(row).T @ v_b0
     lat, _, height = state.place

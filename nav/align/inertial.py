@@ -232,7 +232,9 @@ def _solve(state: Sway, twice: bool, vectors: bool, done: bool) -> tuple[Sway, s
     else:
         solved = constant.attitude_of_all(estimate)
     if solved is None:
-        return state, "what was measured does not fix an attitude" if done else None
+        reason = f"{seconds:.0f} s do not tell north in this sway" if done else None
+        status = state.status._replace(progress=_progress(config, seconds))
+        return state._replace(status=status), reason
     C_gb, P_phi = attitude_now(solved, row, lat, lat, 0.0)
     limit, progress = state.status.limit, _progress(config, seconds)
     status = AlignStatus(quat_from_dcm(C_gb), P_phi, limit, progress, done)

@@ -89,6 +89,7 @@ class Ride(NamedTuple):
     reckoning: Reckoning | None = None
     pending: tuple[OdoSample, ...] = ()
     book: Book | None = None
+    stiffness: Vector = _EYE  # 1/s^2, change of gravity with displacement
     over: Vector = _ZERO  # displacement at the last epoch
     moved: Vector = _ZERO  # rad, east-north-up has turned since by moving over the Earth
     middle: Vector | None = None
@@ -135,6 +136,7 @@ def _begin(state: Ride, sample: ImuSample) -> tuple[Ride, str | None]:
         track=track,
         reckoning=Reckoning(row, t_ns, zero, zero, zero, zero, zero, zero, zero, zero),
         book=Book(estimate, row),
+        stiffness=gravity_change(place[0], place[2]),
         status=_blank(config, place),
         now=place,
     )
@@ -218,9 +220,9 @@ def _reckon(state: Ride, row: Vector, sample: OdoSample) -> tuple[Ride, str | No
     imu = ahead - (C - _EYE) @ config.odometer_lever_arm
     went = imu - old.imu
     axis, level = _frame(state, row)
-    over = old.over + went + h * EARTH_RATE * np.cross(axis, old.over + 0.5 * went)
+    over = old.over + went + h * EARTH_RATE * cross_matrix(axis) @ (old.over + 0.5 * went)
     # gravity turns with the place, and falls off with height
-    pull = level @ (gravity_change(state.place[0], state.place[2]) @ (level.T @ over))
+    pull = level @ (state.stiffness @ (level.T @ over))
     drop = old.drop + h * pull
     area = old.area + 0.5 * h * (old.imu + imu)
     fall = old.fall + 0.5 * h * (old.drop + drop)
@@ -309,7 +311,8 @@ def _solve(state: Ride, done: bool) -> tuple[Ride, str | None]:
     row = book.row
     solved = constant.attitude_of_all(book.estimate)
     if solved is None:
-        return state, "what was measured does not fix an attitude" if done else None
+        reason = f"{float(row[A_T]):.0f} s do not tell north on this road" if done else None
+        return _progressing(state, float(row[A_T])), reason
     state = state._replace(solved=solved)
     now = _place(state, row)
     since = math.remainder(now[1] - place[1], 2.0 * math.pi)
@@ -331,7 +334,7 @@ def _went(state: Ride, row: Vector) -> Vector:
     _, level = _frame(state, row)
     over = reckoning.over * (1.0 + scale)
     # sideways by the mounting in heading, upwards by that in pitch
-    over = over + heading * np.cross(reckoning.over, level[:, 2]) + pitch * reckoning.up
+    over = over + heading * cross_matrix(reckoning.over) @ level[:, 2] + pitch * reckoning.up
     over = over + _velocity(state, row) * (seconds - float(reckoning.row[A_T]))
     return np.asarray((solved.C @ C_i0g(lat, lat, 0.0, seconds)).T @ over)
 
@@ -349,7 +352,7 @@ def _velocity(state: Ride, row: Vector) -> Vector:
     assert state.place is not None
     once, _ = gravity_integrals(state.place[0], state.place[2], float(row[A_T]))
     axis, _ = _frame(state, row)
-    known = EARTH_RATE * np.cross(axis, state.reckoning.imu) + state.reckoning.drop
+    known = EARTH_RATE * cross_matrix(axis) @ state.reckoning.imu + state.reckoning.drop
     return velocity_now(state.solved, row, once, known)
 
 
