@@ -7,7 +7,7 @@ from typing import Final, NamedTuple, Protocol
 
 READ_BYTES: Final = 4096
 """Largest chunk, so that even one full of noise is gone through in milliseconds."""
-BURST: Final = 20
+BURST: Final = 4
 """Chunks that one `Transport.receive` returns at most; fewer mean that none was left."""
 RETRY_NS: Final = 1_000_000_000
 """Time between two attempts to get a lost connection back."""
