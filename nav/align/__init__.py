@@ -12,6 +12,7 @@ from nav.align.fine import FINE
 from nav.align.gnss_moving import GNSS
 from nav.align.inertial import ALL, DOUBLE, SINGLE
 from nav.align.kalman import CLOSED, OPEN, PSI
+from nav.align.large import LARGE, SMALL_ANGLE
 from nav.align.level import LEVEL
 from nav.align.match import MATCH
 from nav.align.moving_compass import MOVING
@@ -48,6 +49,7 @@ ALIGNMENTS: Final[dict[str, Alignment]] = {
     "inertial_wahba": Alignment(needs=frozenset(), stages=(ALL,)),
     "odometer": Alignment(needs=frozenset({"odometer"}), stages=(ODOMETER,)),
     "gnss": Alignment(needs=frozenset({"gnss"}), stages=(GNSS,)),
+    "large_angle": Alignment(needs=frozenset(), stages=(LARGE, SMALL_ANGLE)),
 }
 
 __all__ = [
