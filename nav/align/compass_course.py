@@ -46,6 +46,7 @@ PRESENT: Final = math.inf
 BATCH: Final = 50  # samples that wait for each other while they come in
 FIRST_S: Final = 1.0  # of which the mean specific force is the first vertical
 LEVEL_PERIOD: Final = 60.0  # s, damped period of the level loop beside the azimuth loop
+SHAKEN: Final = 0.7  # tilt of a levelling loop per (1 + K_2)/R and rms velocity of the base
 FEELS: Final = (0.4, 1.8)  # of Earth's north rate that a coarse azimuth may have felt
 
 
@@ -260,7 +261,8 @@ def turn_about_up(course: Course, angle: float) -> None:
 def coarse_sigma(config: AlignConfig, earth: Place, leg: Leg, seconds: float) -> float:
     """Standard deviation (rad) of heading after the coarse azimuth, without the constant errors' part."""
     level = level_gains(decay(leg.period), earth.gravity)
-    tilt = level.k2 * config.sway + math.sqrt(decay(leg.period)) * config.velocity_random_walk / earth.gravity
+    tilt = SHAKEN * level.k2 * config.sway
+    tilt += math.sqrt(decay(leg.period)) * config.velocity_random_walk / earth.gravity
     walk = config.angle_random_walk * math.sqrt(seconds) / (earth.north * seconds)
     grown = 4.0 * config.sway / (earth.gravity * earth.north * seconds**2)
     return math.hypot(2.0 * tilt / (earth.north * seconds), walk, grown, 0.01)
@@ -272,7 +274,7 @@ def open_ledger(course: Course) -> Ledger:
     assert earth is not None
     coarse = next(leg for leg in course.plan if leg.kind == AZIMUTH)
     heading = coarse_sigma(config, earth, coarse, 0.4 / 0.3 * coarse.period)
-    tilt = level_gains(decay(coarse.period), earth.gravity).k2 * config.sway
+    tilt = SHAKEN * level_gains(decay(coarse.period), earth.gravity).k2 * config.sway
     start = np.zeros(8)
     start[[V_E, V_N]] = config.sway + config.velocity_random_walk
     start[PHI] = tilt + 1e-5, tilt + 1e-5, heading

@@ -58,6 +58,7 @@ MISSING_NS: Final = 1_000_000_000  # without the odometer
 OPENING: Final = 0.2  # of the time, at least, to find a coarse azimuth
 LEVELLING: Final = 0.35  # of that to level: 1.2 damped periods, before a coarse azimuth is looked for
 PERIOD: Final = 0.75  # damped period per time
+LOOSE: Final = 1e-4  # rad of level that the loops lose in turns, to errors of scale and accelerometers
 FEELS: Final = 0.1  # of Earth's north rate, by which it may be missed
 KNOWN: Final = math.radians(20.0)  # sigma of a coarse azimuth that will do
 ASTRAY: Final = math.radians(1.5)  # of heading that the last pass may put right without another one
@@ -264,8 +265,8 @@ def _conclude(drive: Drive) -> str | None:
                 f"levelled axes felt {felt / earth.north:.2f} of Earth's north rate: "
                 "calibration or latitude are wrong"
             )
-        drive.coarse = drive.weights.P[TILT, TILT].copy()
-        drive.coarse[2, 2] += sigma**2
+        tilts = np.diag(drive.weights.P[TILT, TILT])
+        drive.coarse = np.diag(tilts + np.array([LOOSE**2, LOOSE**2, sigma**2]))
         turn_about_up(course, angle)
         drive.weights = None
     end_leg(course)
