@@ -132,7 +132,9 @@ def test_an_alignment_is_in_reach_of_a_configuration(name: str) -> None:
     config = Config.load("bench")
     files = config.attachments()
     text = files[ATTACHMENT].decode().replace('alignment = "static"', f'alignment = "{name}"')
-    text += "\n[navigator.main.align]\nknown_heading_deg = 40.0\n"
+    table = "[navigator.main.align]\n"
+    assert table in text
+    text = text.replace(table, f"{table}known_heading_deg = 40.0\n")
     engine = Engine(Config.from_attachments({**files, ATTACHMENT: text.encode()}))
     assert ALIGNMENTS[name].needs <= {*KINDS, "heading"}
     assert ALIGNMENTS[name].stages
