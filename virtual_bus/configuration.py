@@ -33,9 +33,9 @@ class Wiring:
 
 _SCALE_MATTERS_PPM: Final = 300.0
 """A quarter turn with this scale error of a gyro is wrong by as much as heading is known."""
-_STANDING_M_S: Final = 0.0005
+_STANDING_M_S: Final = 0.0015
 """A wheel stands below 5 mm/s, and the speed of a start grows with the fifth power of time: 5 mm/s over
-the root of 11 in the last of a dozen intervals of a rest. In the others the simulated vehicle is still."""
+the root of 11 while it does. Otherwise the simulated vehicle is still, but every start errs the same way."""
 _STAMPS_M_S: Final = 0.003
 """Stamps of the wheel come in steps of 0.1 ms: so much at 15 m/s over the 0.2 s that ticks are gathered."""
 _ROAD_M_S: Final = 0.002

@@ -165,6 +165,17 @@ def gnss_velocity(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
 
 
 @kernel
+def _bent(P: Matrix, speed: float) -> float:
+    """Variance (m/s)^2 of what a linear model of a turned velocity leaves out: (speed phi^2 / 2)^2.
+
+    It is nothing while attitude is known, and keeps an exact wheel from fixing a wrong attitude to a wrong
+    velocity after a gap. Bar-Shalom, Li and Kirubarajan, section 10.3.2 (second-order filter).
+    """
+    second = 0.5 * speed * (P[6, 6] + P[7, 7] + P[8, 8])
+    return float(second * second)
+
+
+@kernel
 def odometer(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vector) -> float:
     """Distance since the last odometer epoch.
 
@@ -177,7 +188,7 @@ def odometer(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vec
     leave as it is. Bar-Shalom, Li and Kirubarajan, section 8.4 (autocorrelated noise, augmented state).
     """
     n = P.shape[0]
-    if z[5] != 0.0:
+    if z[5] != 0.0 or x[X_TICK_VAR] < 0.0:
         _fresh_tick(x, z[4])
     u = mean_velocity(x, par, z[0])
     speed = z[2] / z[1]
@@ -188,7 +199,7 @@ def odometer(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vec
     H = np.zeros((1, n))
     vehicle_row(x, par, 1, u, 0.5 * z[1] + z[0], H, 0)
     H[0, 15] = -speed
-    R = np.full((1, 1), per_s * per_s * (z[3] * z[3] + end + x[X_TICK_VAR]))
+    R = np.full((1, 1), per_s * per_s * (z[3] * z[3] + end + x[X_TICK_VAR]) + _bent(P, u[1]))
     X = np.zeros((n, 1))
     W = np.zeros(n)
     for c in range(n):
@@ -252,8 +263,9 @@ def non_holonomic(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
     _, _, wz = rotate(x[X_QV], x[X_QV + 1], x[X_QV + 2], x[X_QV + 3], x[X_W], x[X_W + 1], x[X_W + 2])
     slip = par[P_SLIP] * u[1] * wz
     R = np.zeros((2, 2))
-    R[0, 0] = z[2] * z[2] + slip * slip + z[3] * z[3] * abs(u[1]) / z[1]
-    R[1, 1] = z[2] * z[2]
+    bent = _bent(P, u[1])
+    R[0, 0] = z[2] * z[2] + slip * slip + z[3] * z[3] * abs(u[1]) / z[1] + bent
+    R[1, 1] = z[2] * z[2] + bent
     return _finish(x, P, H, r, R, np.zeros((n, 2)), gate, out)
 
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE
-from nav.filter.states import P_LO, X_A, X_F, X_PATH, X_PT, X_QV, X_TICK_COV, X_W
+from nav.filter.states import P_LO, X_A, X_F, X_PATH, X_PT, X_QV, X_TICK_COV, X_TICK_VAR, X_W
 from nav.jit import kernel
 from nav.rotation import rotate
 from nav.strapdown.kernels import X_C, X_Q, X_V
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+
+_NEVER: Final = 1e9  # s
 
 
 @kernel
@@ -109,6 +113,13 @@ def vehicle_row(x: Vector, par: Vector, axis: int, u: Vector, age: float, H: Mat
         H[row, 17] = -u[0]
     else:
         H[row, 16] = -u[1]
+
+
+@kernel
+def lose_path(x: Vector) -> None:
+    """The path since the last odometer epoch is not known: nothing is compared with it before the next."""
+    x[X_PT] = -_NEVER
+    x[X_TICK_VAR] = -1.0
 
 
 @kernel

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE, gravity_north, normal_gravity, radii
 from nav.filter.covariance import PREDICT_SIZE, feedback, predict
-from nav.filter.motion import carry_tick
+from nav.filter.motion import carry_tick, lose_path
 from nav.filter.states import (
     P_GAP_A,
     P_GAP_W,
@@ -191,6 +191,8 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
     x[X_PT] += dt
 
     carry_tick(x, c, dt)
+    if row[ROW_GAP] != 0.0:
+        lose_path(x)
 
     # the receiver's error is kept in n, which may turn about the vertical
     keep = 1.0 - par[P_GNSS] * dt

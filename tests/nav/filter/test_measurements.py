@@ -105,7 +105,7 @@ def test_takes_out_the_error_it_sees(kind, k):
         # a bias error shows in the corrected rate
         y[st.X_W + k - 9] -= e[k]
     P = np.zeros((st.FULL, st.FULL))
-    P[k, k] = (100.0 * STEPS[k]) ** 2
+    P[k, k] = (10.0 * STEPS[k]) ** 2
     out = np.zeros(12)
     MEASUREMENTS[kind].kernel(y, P, p, z, np.inf, out)
     # the path since the last odometer epoch is disturbed as if its error were constant, while H knows
