@@ -1,8 +1,8 @@
 """Static alignment from any azimuth by unscented filters of large misalignments, then the small-angle filter.
 
-Yan Gongmin 2008, chapter 4: "UKF first, and the Kalman filter once the angles are small". The first block
-gives the level roughly, `nav.align.large_bank` the azimuth, and `nav.align.fine` goes on from there with
-the drifts that are known by then.
+Yan Gongmin 2008, chapter 4, which ends with that advice. The first block gives the level roughly,
+`nav.align.large_bank` the azimuth, and `nav.align.fine` goes on from there with the drifts that are known by
+then.
 """
 
 from __future__ import annotations
@@ -103,8 +103,8 @@ def _judge(state: Large, bank: Bank, found: Mean) -> tuple[Large, str | None]:
     small = sigma < math.hypot(SMALL, 1.5 * limits(config, lat, height, still.seconds)[2])
     if reason is None and not small and still.seconds > config.coarse_s + PATIENCE_S:
         reason = (
-            f"azimuth is known to {math.degrees(sigma):.1f} deg only after {still.seconds:.0f} s: "
-            "the vehicle sways too much"
+            f"azimuth is known to {math.degrees(sigma):.1f} deg only after {still.seconds:.0f} s "
+            f"with a sway of {config.sway:.3f} m/s"
         )
     status = AlignStatus(
         estimate=quat_from_dcm(found.C),

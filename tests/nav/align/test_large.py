@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from nav.align import AlignConfig, advance, begin, result
-from nav.align.large import LARGE, SMALL_ANGLE
+from nav.align import ALIGNMENTS, AlignConfig, advance, begin, result
+from nav.align.large import LARGE
 from nav.align.large_bank import MEMBERS, SIZE, Noise, block, levelled, mean, start
 from nav.align.types import Alignment
 from nav.earth import earth_rate_g, gravity_g
@@ -20,7 +20,7 @@ DEG_PER_H = math.pi / 648000.0
 G = 9.80665
 PLACE = math.radians(34.18), math.radians(108.9), 400.0
 DT = 0.25
-BOTH, FIRST = Alignment(frozenset(), (LARGE, SMALL_ANGLE)), Alignment(frozenset(), (LARGE,))
+BOTH, FIRST = ALIGNMENTS["large_angle"], Alignment(frozenset(), (LARGE,))
 
 # navigation grade: 0.007 deg/h, 0.0005 deg/sqrt(h), 50 ug, 10 ug/sqrt(Hz)
 GRADE = AlignConfig(
@@ -160,3 +160,5 @@ def test_refusals_name_their_cause():
     assert "cannot find heading" in first(samples_of(dtheta, dv, DT), blind)
     nowhere = dataclasses.replace(GRADE, position=None)
     assert "no position" in first(samples_of(dtheta, dv, DT), nowhere)
+    swaying = dataclasses.replace(GRADE, sway=0.3)
+    assert "with a sway of" in first(samples_of(dtheta, dv, DT), swaying)
