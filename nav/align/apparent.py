@@ -58,7 +58,11 @@ def tracker(t_ns: int) -> Tracker:
     ring[0] = row
     times = np.zeros(RING, np.int64)
     times[0] = t_ns
-    return Tracker(row, np.zeros(12), np.zeros(2), ring, times, np.ones(1, np.int64))
+    track = Tracker(row, np.zeros(12), np.zeros(2), ring, times, np.ones(1, np.int64))
+    # the kernels that are needed much later are compiled now: nothing may pause the loop then
+    present(track, row, row[A_Q : A_Q + 4], np.zeros(3), np.zeros(3))
+    at(track, t_ns)
+    return track
 
 
 @kernel

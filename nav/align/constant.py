@@ -54,6 +54,7 @@ def begin(config: AlignConfig, start: float, offset: float, wheel: Vector) -> Es
     P[EPS], P[NAB] = config.gyro_bias**2, config.accel_bias**2
     P[START], P[OFFSET] = start**2, offset**2
     P[WHEEL] = wheel**2
+    _turned(_EYE, np.zeros(3))  # compiles what the first solution needs
     return Estimate(np.zeros(SIZE), np.diag(P))
 
 

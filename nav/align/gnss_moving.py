@@ -130,7 +130,8 @@ def _begin(state: Drive, sample: ImuSample) -> tuple[Drive, str | None]:
         row=track.row.copy(),
         rest=Rest(since=0.0, place=path.r_0),
         status=_blank(config, fix.lat, fix.height),
-        place=(fix.lat, fix.lon, fix.height),
+        # there and back: compiled now, not when it ends
+        place=imu_place(np.array([fix.lat, fix.lon, fix.height]), _ZERO),
     )
     return state, poor_gyros(config, fix.lat, _duration(config))
 

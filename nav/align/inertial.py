@@ -100,7 +100,7 @@ def _wait(state: Sway, sample: ImuSample, reason: str | None) -> tuple[Sway, str
     config, still = state.config, state.still
     place = config.position
     if place is None and still.fixes > 0:
-        place = float(still.place[0]), float(still.place[1]), float(still.place[2])
+        place = imu_place(still.place, _ZERO)  # compiled now, not when it ends
     if place is None:
         waited = state.waited + sample.dt
         if waited > PATIENCE_S:

@@ -41,7 +41,14 @@ from nav.align.apparent import (
     present,
     tracker,
 )
-from nav.align.apparent_result import attitude_now, contradiction, hand_over, poor_gyros, velocity_now
+from nav.align.apparent_result import (
+    attitude_now,
+    contradiction,
+    hand_over,
+    imu_place,
+    poor_gyros,
+    velocity_now,
+)
 from nav.align.constant import OFFSET, POS, START, VEL, WHEEL, Solved
 from nav.align.disturbance import Held, Window, held, spread, stuck, weigh, window
 from nav.align.epochs import Book, bring, take
@@ -138,7 +145,7 @@ def _begin(state: Ride, sample: ImuSample) -> tuple[Ride, str | None]:
         book=Book(estimate, row),
         stiffness=gravity_change(place[0], place[2]),
         status=_blank(config, place),
-        now=place,
+        now=imu_place(np.array(place), _ZERO),  # there and back: compiled now, not at the first epoch
     )
     return state, poor_gyros(config, place[0], _duration(config))
 
