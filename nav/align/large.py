@@ -28,12 +28,14 @@ from nav.align.static import (
 )
 from nav.align.still import Still
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
+from nav.earth import normal_gravity
 from nav.filter.ukf import Points, symmetric_points
 from nav.rotation import quat_from_dcm, rotvec_from_quat
 from nav.types import ImuSample, Sample, Vector
 
 TILT: Final = math.radians(2.0)  # how far the force of one block may be from the vertical on a swaying base
 SMALL: Final = math.radians(2.0)  # of azimuth, beside what the drifts explain
+HEIGHTS: Final = 0.005  # m/s^2, what a height may be wrong by in gravity
 _ZERO: Final = np.zeros(3)
 
 
@@ -81,6 +83,9 @@ def _close(state: Large) -> tuple[Large, str | None]:
     if reason is not None or place is None:
         return state._replace(still=still), reason
     if bank is None:
+        reason = _against_gravity(config, place, float(np.linalg.norm(dv)), dt)
+        if reason is not None:
+            return state._replace(still=still), reason
         C = levelled(np.eye(3), dv) @ rotation
         noise = Noise(config.gyro_bias, config.angle_random_walk, config.velocity_random_walk, config.sway)
         bank = start(place, C, TILT, noise, state.points)
@@ -91,6 +96,20 @@ def _close(state: Large) -> tuple[Large, str | None]:
             reason = f"the vehicle moves: {speed:.2f} m/s against a standstill"
     state = state._replace(still=still, bank=bank)
     return (state, reason) if reason is not None else _judge(state, bank, mean(bank))
+
+
+def _against_gravity(
+    config: AlignConfig, place: tuple[float, float, float], push: float, dt: float
+) -> str | None:
+    """Why a block of ``dt`` s that adds ``push`` m/s to the velocity is not one of rest, or None."""
+    force, gravity = push / dt, normal_gravity(math.sin(place[0]), place[2])
+    slack = SIGMAS * math.hypot(config.accel_bias, 2.0 * config.sway / dt) + HEIGHTS
+    if abs(force - gravity) <= slack:
+        return None
+    return (
+        f"the specific force is {force:.4f} m/s^2 where gravity is {gravity:.4f}: "
+        "an accelerometer is stuck, or calibration or latitude are wrong"
+    )
 
 
 def _judge(state: Large, bank: Bank, found: Mean) -> tuple[Large, str | None]:

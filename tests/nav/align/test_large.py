@@ -162,3 +162,4 @@ def test_refusals_name_their_cause():
     assert "no position" in first(samples_of(dtheta, dv, DT), nowhere)
     swaying = dataclasses.replace(GRADE, sway=0.3)
     assert "with a sway of" in first(samples_of(dtheta, dv, DT), swaying)
+    assert "an accelerometer is stuck" in first(samples_of(dtheta, 0.0 * dv, DT))
