@@ -103,7 +103,7 @@ def test_gravity_changes_with_place_as_the_ellipsoids_does():
 
 @pytest.mark.parametrize("kind", ["straight", "winding"])
 def test_error_free_sensors_give_attitude_and_place(kind):
-    trajectory, C_vb, config, samples, _, _ = driven(kind, 1, PERFECT, 1.0)
+    trajectory, _C_vb, config, samples, _, _ = driven(kind, 1, PERFECT, 1.0)
     init, _, refusals = align(samples, config)
     assert not refusals
     true = trajectory.state(init.t_ns)
@@ -157,7 +157,7 @@ def test_ten_minutes_reach_the_limit_and_the_normalised_error_is_what_it_should_
 
 
 def test_an_unknown_mounting_is_found_where_the_road_winds():
-    trajectory, C_vb, config, samples, _, _ = driven("winding", 2)
+    trajectory, _C_vb, config, samples, _, _ = driven("winding", 2)
     config = dataclasses.replace(config, C_vb=None)
     init, _, refusals = align(samples, config)
     assert not refusals
