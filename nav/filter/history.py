@@ -10,6 +10,7 @@ bit, what the measurements would have given in the order of their times.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -33,6 +34,7 @@ from nav.filter.propagate import (
     row_size,
     solution_row,
 )
+from nav.filter.records import ORDER, PATH, Filter, Record
 from nav.filter.recovery import PATIENCE, agree, inflate
 from nav.filter.states import ALL, X_PATH, X_PT, X_SIZE
 from nav.types import ImuSample, S, Vector
@@ -42,57 +44,9 @@ CAPACITY: Final = 2048
 STRIDE: Final = 16
 """Updates between snapshots."""
 _SLOTS: Final = CAPACITY // STRIDE
-_ORDER: Final = {name: place for place, name in enumerate(MEASUREMENTS)}
-_PATH: Final = len(_ORDER)  # the row of the books that holds the start of the path integral
+_BRIDGE_S: Final = 0.02  # longest update over a silence
 _OPEN: Final = float("inf")
 _NEVER: Final = -(2**62)
-
-
-class Record:
-    """One entry of the log: a measurement, or something done to the filter at a time."""
-
-    __slots__ = ("action", "key", "measurement", "recovered", "refused", "reported", "t_ns", "z")
-
-    def __init__(
-        self,
-        t_ns: int,
-        rank: int,
-        serial: int,
-        measurement: Measurement | None,
-        z: Vector,
-        action: Callable[[Filter], None] | None = None,
-    ) -> None:
-        self.t_ns = t_ns
-        self.key = (t_ns, rank, serial)
-        self.measurement = measurement
-        self.z = z
-        self.action = action
-        self.reported = False
-        self.recovered = False
-        self.refused: Vector | None = None  # its residual, where the gate was shut
-
-
-class Filter:
-    """One copy of the filter: nominal state, covariance, books, and how far it has come.
-
-    ``books`` (kinds + 1, 3) int64: per kind of measurement the time of the last accepted one, how many were
-    refused since, and the time of the first of those; last row: start of the path integral.
-    """
-
-    __slots__ = ("P", "books", "cursor", "u", "x")
-
-    def __init__(self, states: int) -> None:
-        self.x = np.zeros(X_SIZE)
-        self.P = np.zeros((states, states))
-        self.books = np.zeros((_PATH + 1, 3), dtype=np.int64)
-        self.u = 0
-        self.cursor = 0
-
-    def copy_from(self, x: Vector, P: Vector, books: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> None:
-        """Take over state, covariance and books."""
-        self.x[:] = x
-        self.P[:] = P
-        self.books[:] = books
 
 
 class Timeline:
@@ -115,7 +69,7 @@ class Timeline:
         self._snap_u = np.full(_SLOTS, -1, dtype=np.int64)
         self._snap_x = np.zeros((_SLOTS, X_SIZE))
         self._snap_P = np.zeros((_SLOTS, states, states))
-        self._snap_books = np.zeros((_SLOTS, _PATH + 1, 3), dtype=np.int64)
+        self._snap_books = np.zeros((_SLOTS, PATH + 1, 3), dtype=np.int64)
         self._log: list[Record] = []
         self._keys: list[tuple[int, int, int]] = []
         self._serial = 0
@@ -148,11 +102,11 @@ class Timeline:
         """Time (ns) of the last accepted measurement of a kind; the start of navigation before any."""
         if kind == "barometer" and self._feed.t_ns is not None:
             return self._feed.t_ns
-        return int(self.live.books[_ORDER[kind], 0])
+        return int(self.live.books[ORDER[kind], 0])
 
     def used(self, *kinds: str) -> bool:
         """Whether a measurement of one of these kinds was ever accepted."""
-        return any(int(self.live.books[_ORDER[kind], 0]) != self._begin_ns for kind in kinds)
+        return any(int(self.live.books[ORDER[kind], 0]) != self._begin_ns for kind in kinds)
 
     # ---- forward -------------------------------------------------------------------------------
 
@@ -180,15 +134,29 @@ class Timeline:
         return row if good else None
 
     def bridge(self, t_ns: int, dt: float) -> None:
-        """One update over ``dt`` seconds in which nothing was measured."""
-        place = self._next(t_ns, dt, 1.0, 1.0, 1)
+        """Updates over the ``dt`` seconds up to ``t_ns``, in which nothing was measured.
+
+        They are short, so that an aid within the silence meets the state of its own time. What an odometer
+        says of a way there is taken out: the way's end tells little of where on it the vehicle turned.
+        """
+        first = bisect_right(self._keys, (self.t_ns, len(MEASUREMENTS), 0))
+        last = bisect_right(self._keys, (t_ns, len(MEASUREMENTS), 0))
+        for place in reversed(range(first, last)):
+            measurement = self._log[place].measurement
+            if measurement is not None and measurement.name in ("odometer", "non_holonomic"):
+                del self._log[place], self._keys[place]
+        pieces = math.ceil(dt / _BRIDGE_S)
         live = self.live
-        self._times[place] = t_ns
-        replay(live.x, live.P, self.par, self._scratch, self._ring, self._times, live.u, live.u + 1, 2**62)
-        live.u += 1
-        self.t_ns = t_ns
-        if not self.behind:
-            self._apply_due(live, t_ns)
+        for left in reversed(range(pieces)):
+            t = t_ns - round(left * dt / pieces * 1e9)
+            self._next(t, dt / pieces, dt, 1.0, 1)
+            replay(
+                live.x, live.P, self.par, self._scratch, self._ring, self._times, live.u, live.u + 1, 2**62
+            )
+            live.u += 1
+            self.t_ns = t
+            if not self.behind:
+                self._apply_due(live, t)
 
     def _next(self, t_ns: int, dt: float, gap: float, noise: float, samples: int) -> int:
         live = self.live
@@ -259,7 +227,7 @@ class Timeline:
             tau = (int(self._times[f.u % CAPACITY]) - t_ns) * 1e-9
             f.x[X_PATH : X_PATH + 3] = vehicle_velocity(f.x, self.par, 0.5 * tau) * tau
             f.x[X_PT] = tau
-            f.books[_PATH, 0] = t_ns
+            f.books[PATH, 0] = t_ns
 
         return self.act(t_ns, action)
 
@@ -364,11 +332,11 @@ class Timeline:
         if m.name == "odometer" or m.name == "non_holonomic":
             # the integral must cover the interval that was measured
             start = record.t_ns - round(float(z[1]) * 1e9)
-            if abs(int(f.books[_PATH, 0]) - start) > 10_000_000 or f.x[X_PT] <= z[0]:
+            if abs(int(f.books[PATH, 0]) - start) > 10_000_000 or f.x[X_PT] <= z[0]:
                 return
         nis = m.kernel(f.x, f.P, self.par, z, m.gate, out)
         accepted = nis <= m.gate
-        book = f.books[_ORDER[m.name]]
+        book = f.books[ORDER[m.name]]
         record.refused = None if accepted else out[: m.rows].copy()
         if accepted:
             book[0], book[1], book[2] = record.t_ns, 0, _NEVER
@@ -393,6 +361,6 @@ class Timeline:
 
     def _believed(self, f: Filter, m: Measurement, shut_ns: int) -> bool:
         log = self._log[: f.cursor]
-        since = int(f.books[_ORDER[m.name], 2])
+        since = int(f.books[ORDER[m.name], 2])
         refused = [r.refused for r in log if r.measurement is m and r.t_ns >= since and r.refused is not None]
         return shut_ns >= PATIENCE * self._lockout_ns or agree(np.array(refused))

@@ -10,7 +10,7 @@ import numpy as np
 
 from nav.align.mounting import SLOWEST, Mounting, find_mounting
 from nav.filter import states as st
-from nav.filter.history import Filter
+from nav.filter.records import Filter
 from nav.rotation import dcm_from_quat, quat_from_dcm
 from nav.types import S, Vector
 

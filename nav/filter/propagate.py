@@ -60,7 +60,7 @@ Matrix = NDArray[np.float64]
 
 # Places in a row of the increment ring.
 ROW_DT: Final = 0  # s, over all samples
-ROW_GAP: Final = 1  # 1: nothing was measured over this interval
+ROW_GAP: Final = 1  # s of silence that this interval is part of; 0: it was measured
 ROW_NOISE: Final = 2  # factor on the noise densities of velocity and phi
 ROW_H: Final = 3  # external height for the height channel, m
 ROW_H_AGE: Final = 4  # and how long before the middle of the row it was measured, s
@@ -118,7 +118,7 @@ def _add_vibration(P: Matrix, mid: Vector, gyro: float, accel: float, row: Vecto
 def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> None:
     """Nominal state ``x`` and covariance ``P`` through one row of the increment ring, in place.
 
-    A row (see ROW_) holds raw increments of its samples, duration, gap flag and noise factor. Biases and
+    A row (see ROW_) holds raw increments of its samples, duration, gap and noise factor. Biases and
     scale factors are taken out here. Over a gap the vehicle is taken to keep velocity and attitude, with the
     uncertainty of the rates and accelerations that may have passed.
     """
@@ -134,8 +134,8 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
         north = gravity_north(ez, 1.0, h)
         wx, wy, wz = rotate(x[0], -x[1], -x[2], -x[3], EARTH_RATE * ex, EARTH_RATE * ey, EARTH_RATE * ez)
         ax, ay, az = rotate(x[0], -x[1], -x[2], -x[3], -north * ex, -north * ey, normal_gravity(ez, h))
-        extra_v = par[P_GAP_A] * par[P_GAP_A] * dt
-        extra_phi = par[P_GAP_W] * par[P_GAP_W] * dt
+        extra_v = par[P_GAP_A] * par[P_GAP_A] * row[ROW_GAP]
+        extra_phi = par[P_GAP_W] * par[P_GAP_W] * row[ROW_GAP]
         sx, sy, sz = wx * dt, wy * dt, wz * dt
         tx, ty, tz = ax * dt, ay * dt, az * dt
         d[0], d[1], d[2], d[3], d[4], d[5] = sx, sy, sz, tx, ty, tz
