@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.crc8 import CRC8
 from dbc.codec import MessageCodec
 from dbc.e2e import P01_ALIVE_MODULUS
 from nav.imu.pulses import compensate
@@ -29,18 +30,6 @@ _SIGNALS: Final = (
 )
 _START, _MASK, _SIGN = range(3)  # columns of a layout
 _TIME_MASK: Final = 2**32 - 1
-_GENERATOR: Final = 0x1D
-
-
-def _crc_table() -> NDArray[np.int64]:
-    """CRC-8 SAE J1850 of each byte, "Specification of CRC Routines" (AUTOSAR document 016)."""
-    table = np.arange(256)
-    for _ in range(8):
-        table = np.where(table & 0x80, table << 1 ^ _GENERATOR, table << 1) & 0xFF
-    return table
-
-
-_CRC: Final = _crc_table()
 
 
 def layout(codecs: Sequence[MessageCodec]) -> NDArray[np.int64] | None:
@@ -97,9 +86,9 @@ def assemble(
     """
     for message in range(3):
         first = FRAME_BYTES * message
-        crc = _CRC[_CRC[places[15 + message, 0]] ^ places[15 + message, 1]]
+        crc = CRC8[CRC8[places[15 + message, 0]] ^ places[15 + message, 1]]
         for i in range(1, FRAME_BYTES):
-            crc = _CRC[crc ^ wire[first + i]]
+            crc = CRC8[crc ^ wire[first + i]]
         if crc != wire[first]:
             return IRREGULAR, 0, 0, 0, 0, 0.0
     gyro, accel, time = _word(wire, 0), _word(wire, FRAME_BYTES), _word(wire, 2 * FRAME_BYTES)

@@ -34,6 +34,7 @@ from bridge.outputs import (
     Transmit,
 )
 from bridge.sinks.base import SinkContext
+from bridge.sinks.packing import Packer
 from dbc.codec import MessageCodec
 from nav import polar
 from nav.polar import Frame
@@ -104,6 +105,8 @@ class CanSolution:
         )
         messages = context.contract
         self._epoch = [(messages[name], _sigmas(messages[name])) for name in EPOCH]
+        self._packer = Packer([codec for codec, _ in self._epoch])
+        self._keys = [codec.frame_id + self._offset for codec, _ in self._epoch]
         self._rejects, self._health = messages["SOL_REJECTS"], messages["SOL_HEALTH"]
         self._align, self._align_limits = messages["SOL_ALIGN"], _sigmas(messages["SOL_ALIGN"])
         self._slot: int | None = None
@@ -156,17 +159,14 @@ class CanSolution:
         self._frame = polar.switch(solution.lat, self._frame, self._polar, self._enter, self._leave)
         values = epoch_values(solution, self._frame)
         values["SOL_TIME"] = self._time_values(solution.t_ns, solution.mode)
-        sent = []
+        physical: list[float | int] = []
         for codec, sigmas in self._epoch:
-            physical = values[codec.name]
-            if sigmas:
-                physical = _saturated(physical, sigmas)
-            try:
-                sent.append(self._transmit(codec, self._alive, physical))
-            except ValueError:  # a measured value is unknown or out of range
-                continue
+            physical += _saturated(values[codec.name], sigmas) if sigmas else values[codec.name]
+        payloads = self._packer.encode(self._alive, physical)
         self._alive = (self._alive + 1) % 15
-        return sent
+        source = self._source
+        # left out: a measured value is unknown or out of range
+        return [Transmit(source, key, data) for key, data in zip(self._keys, payloads, strict=True) if data]
 
     def _send_status(self, t_ns: int) -> list[Transmit]:
         values = {
