@@ -290,7 +290,7 @@ class Navigator:
                 self._change(last, Mode.FAULT, "the state is not finite")
                 return
         self._timeline.rest[:] = 0.0
-        self._aiding.bridge(last + round(silent), silent * 1e-9)
+        self._timeline.bridge(last + round(silent), silent * 1e-9)
         self._gap_ns = t
         self._check_ns = t
 

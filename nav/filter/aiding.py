@@ -41,7 +41,6 @@ class Aiding:
         self._timeline = timeline
         self.mounted = False
         self._path_ns = 0
-        self._blind_ns = 0
         self._start_ns = 0
         self._end_ns: int | None = None
         self._fresh = 1.0  # 0: the open interval begins where the last one ended
@@ -58,13 +57,6 @@ class Aiding:
         """The mounting is known from ``t_ns`` on."""
         self.mounted = True
         self._path_ns = t_ns
-
-    def bridge(self, t_ns: int, dt: float) -> None:
-        """Go on over ``dt`` s to ``t_ns`` of which nobody measured the way: no wheel is compared with it."""
-        self._timeline.bridge(t_ns, dt)
-        self._blind_ns = t_ns
-        self._end_ns = None
-        self._restart_path(t_ns)
 
     def gnss(self, s: GnssFix) -> bool:
         """Enter the position of a fix, and its velocity when it has one."""
@@ -103,8 +95,6 @@ class Aiding:
             return
         config = self._config
         start = s.t_ns - round(s.dt * 1e9)
-        if start < self._blind_ns:
-            return
         if self._end_ns is None or abs(start - self._end_ns) > _JOIN_NS:
             # the first, or after missing ones: begin an interval where this sample begins
             self._fresh = 1.0

@@ -136,15 +136,8 @@ class Timeline:
     def bridge(self, t_ns: int, dt: float) -> None:
         """Updates over the ``dt`` seconds up to ``t_ns``, in which nothing was measured.
 
-        They are short, so that an aid within the silence meets the state of its own time. What an odometer
-        says of a way there is taken out: the way's end tells little of where on it the vehicle turned.
+        They are short, so that an aid within the silence meets the state of its own time.
         """
-        first = bisect_right(self._keys, (self.t_ns, len(MEASUREMENTS), 0))
-        last = bisect_right(self._keys, (t_ns, len(MEASUREMENTS), 0))
-        for place in reversed(range(first, last)):
-            measurement = self._log[place].measurement
-            if measurement is not None and measurement.name in ("odometer", "non_holonomic"):
-                del self._log[place], self._keys[place]
         pieces = math.ceil(dt / _BRIDGE_S)
         live = self.live
         for left in reversed(range(pieces)):
