@@ -88,7 +88,8 @@ def sculling(samples: int, residual: float) -> float:
 
     Sculling is the dual of coning: in the residual alpha^2 lambda_N^(2 N + 1) times ``residual`` of an update
     the product of tilt and velocity, twice, replaces the square of the tilt. To that comes what the rotation
-    of the velocity leaves, whatever the samples, for it is made as if the rate were constant in the update:
+    of the velocity leaves when it is made as if the rate were constant in the update (from three samples on
+    the kernel knows better):
     of gravity g, alpha^2 g (sin x - x + x (1 - cos x) / 3) / Omega with x = lambda_N, which is
     -alpha^2 g x^5 / (180 Omega) to lowest order.
     """
