@@ -116,7 +116,7 @@ def compute() -> Result:
         '1", of 1 and 2 ms at 10 deg, where a term of alpha^4 lambda^5 is left whatever the samples.',
         "Shaken: 1 deg of coning at 10 Hz with 1 g of sculling, 200 Hz samples, 60 s through the whole "
         "kernel; coning as the turn about the cone's axis, sculling as mean acceleration along it. From "
-        "three samples on the closed form is what turning gravity at a constant rate in an update would leave, "
+        "three samples on the closed form is what turning gravity at a constant rate in an update leaves, "
         "-alpha^2 g lambda_N^4 / 180; the kernel's third-order term takes most of it away.",
     ]
     return Result(
