@@ -65,11 +65,13 @@ def draw(result: Result, path: Path) -> None:
                 )
                 _lines(axes, t, truth, dots, state, colour, scale, label)
             axes.set_ylabel(unit)
-            axes.tick_params(labelbottom=False)
+            axes.tick_params(labelbottom=axes is picture.axes[-2][-1])
         picture.axes[i][0].set_ylabel(f"{NAMES[source]}, {amount}\nm/s")
         legend(picture.axes[i][2])
     for axes, title in zip(picture.axes[0], ("velocity", "position", "misalignment"), strict=True):
         axes.set_title(title, fontsize=10, loc="left")
+    # the panel below it counts minutes
+    picture.axes[-2][-1].set_xlabel("hours")
     _draw_last(picture.axes[-1], result)
     picture.save(path)
 
