@@ -8,11 +8,10 @@ from __future__ import annotations
 from typing import Final
 
 from nav.align.compass import ONCE, RAPID
-from nav.align.fine import FINE
 from nav.align.gnss_moving import GNSS
 from nav.align.inertial import ALL, DOUBLE, SINGLE
 from nav.align.kalman import CLOSED, OPEN, PSI
-from nav.align.large import LARGE, SMALL_ANGLE
+from nav.align.large import LARGE
 from nav.align.level import LEVEL
 from nav.align.match import MATCH
 from nav.align.moving_compass import MOVING
@@ -33,7 +32,7 @@ from nav.align.types import (
 )
 
 ALIGNMENTS: Final[dict[str, Alignment]] = {
-    "static": Alignment(needs=frozenset(), stages=(COARSE, FINE)),
+    "static": Alignment(needs=frozenset(), stages=(COARSE, PSI)),
     "motion": Alignment(needs=frozenset({"gnss"}), stages=(LEVEL, MATCH)),
     "analytic": Alignment(needs=frozenset(), stages=(ANALYTIC,)),
     "open_loop": Alignment(needs=frozenset(), stages=(COARSE, OPEN_LOOP)),
@@ -49,7 +48,7 @@ ALIGNMENTS: Final[dict[str, Alignment]] = {
     "inertial_wahba": Alignment(needs=frozenset(), stages=(ALL,)),
     "odometer": Alignment(needs=frozenset({"odometer"}), stages=(ODOMETER,)),
     "gnss": Alignment(needs=frozenset({"gnss"}), stages=(GNSS,)),
-    "large_angle": Alignment(needs=frozenset(), stages=(LARGE, SMALL_ANGLE)),
+    "large_angle": Alignment(needs=frozenset(), stages=(LARGE, PSI)),
 }
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Kalman filters of a static alignment, by which states they carry.
+"""Kalman filters of a static alignment, by which states they carry: fine stages after a coarse one.
 
 All have the dynamics of an alignment at rest in psi form (`nav.errors.psi.alignment_dynamics`; at a known
 place psi and phi are the same) or a part of them:
@@ -24,14 +24,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nav.align import still as watch
-from nav.align.static import SIGMAS, limits, nav_init, standing_at
-from nav.align.still import Still
-from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
+from nav.align.static import SIGMAS, fine_status, go_on, nav_init, standing_at
+from nav.align.still import PUSHED, Block, Standing, standing
+from nav.align.types import AlignConfig, NavInit, Stage
 from nav.earth import earth_rate_g, gravity_g, normal_gravity
 from nav.errors.psi import alignment_dynamics
-from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec
-from nav.types import ImuSample, Sample, Vector
+from nav.rotation import dcm_from_quat, quat_from_rotvec
+from nav.types import Vector
 
 WINDOW_S: Final = 29  # blocks of a window without velocity, an odd number
 TILTED: Final = 0.005  # m/s^2 that such a window may differ by before anything is said
@@ -56,17 +55,13 @@ TWELVE: Final = Model(tuple(range(12)), (0, 1, 2))
 
 
 class Filter(NamedTuple):
-    """State of the stage: strapdown attitude and velocity, what was fed back, what was not, covariance."""
+    """Strapdown attitude and velocity, errors that are not fed back, covariance."""
 
-    config: AlignConfig
     given: NavInit
-    still: Still
     C: Vector  # C_gb (3, 3)
     v: Vector  # (3,) m/s
-    biases: Vector  # (6,) rad/s, m/s^2 in b, fed back
     x: Vector  # (12,) not fed back; places that the model lacks stay zero
     P: Vector  # (12, 12); of the places that the model lacks as the coarse stage left it
-    status: AlignStatus
     window: Vector  # (3,) sums of weights, and of weighted level specific force
     blocks: int = 0  # in the window
     seconds: float = 0.0
@@ -80,79 +75,64 @@ def _to_states(C: Vector) -> Vector:
     return T
 
 
-def init(config: AlignConfig, given: NavInit | None) -> Filter:
-    """Begin from the coarse stage's attitude and covariance."""
+def init(config: AlignConfig, given: NavInit | None) -> Standing[Filter]:
+    """Begin from what the coarse stage found, velocity and biases as well where it finds some."""
     assert given is not None
     assert given.P is not None
     C = dcm_from_quat(given.q_gb)
     T = _to_states(C)
-    limit = limits(config, given.lat, given.height, config.coarse_s + config.fine_s)
-    status = AlignStatus(given.q_gb, given.P_phi, limit, 0.0, False)
     P = T @ given.P[3:15, 3:15] @ T.T
-    zeros = (np.zeros(3), np.zeros(6), np.zeros(12))
-    return Filter(config, given, Still(), C, *zeros, P, status, np.zeros(3))
+    own = Filter(given, C, given.v_g, np.zeros(12), P, np.zeros(3))
+    return go_on(config, given, own, np.concatenate([given.gyro_bias, given.accel_bias]))
 
 
-def stepping(model: Model) -> Callable[[Filter, Sample], tuple[Filter, AlignStatus]]:
-    """The step of a stage with these states."""
+def working(model: Model) -> Callable[[Standing[Filter], Block], tuple[Standing[Filter], str | None]]:
+    """What a stage with these states does with a block: strapdown, prediction, measurement, feedback."""
 
-    def step(state: Filter, sample: Sample) -> tuple[Filter, AlignStatus]:
-        """Propagate with every block and observe that it stands; wheels and GNSS may contradict."""
-        if isinstance(sample, ImuSample):
-            reason = watch.fault(sample)
-            still = watch.add(state.still, sample, state.biases[:3], state.biases[3:])
-            state = state._replace(still=still)
-            if reason is None and watch.full(still):
-                state, reason = _update(state, model)
-        else:
-            still, reason = watch.aid(state.still, sample)
-            state = state._replace(still=still)
-        if reason is not None:
-            return state, state.status._replace(done=False, refusal=reason)
-        return state, state.status
+    def work(state: Standing[Filter], block: Block) -> tuple[Standing[Filter], str | None]:
+        return _update(state, block, model)
 
-    return step
+    return work
 
 
-def _update(state: Filter, model: Model) -> tuple[Filter, str | None]:
-    """One block: strapdown, prediction, measurement, feedback."""
+def _update(state: Standing[Filter], block: Block, model: Model) -> tuple[Standing[Filter], str | None]:
     # here and not above: it brings all of SciPy's statistics, 0.7 s that other alignments have no use for
     from filterpy.kalman import KalmanFilter
 
-    config, given = state.config, state.given
-    rotation, dv, _, dt = watch.block(state.still)
-    still, reason = watch.close(state.still, config)
+    config, own = state.config, state.own
+    given, dt, dv = own.given, block.dt, block.dv
     g, w_ie = gravity_g(given.lat, given.height), earth_rate_g(given.lat)
-    gained = state.C @ dv + g * dt + 0.5 * dt**2 * np.cross(w_ie, g)
-    C = dcm_from_quat(quat_from_rotvec(-w_ie * dt)) @ state.C @ rotation
-    v = state.v + gained
+    gained = own.C @ dv + g * dt + 0.5 * dt**2 * np.cross(w_ie, g)
+    C = dcm_from_quat(quat_from_rotvec(-w_ie * dt)) @ own.C @ block.rotation
+    v = own.v + gained
     F = alignment_dynamics(given.lat, normal_gravity(math.sin(given.lat), given.height), vertical=True)
     keep, measured = np.array(model.keep), np.array(model.measured)
     part = np.ix_(keep, keep)
 
     kalman = KalmanFilter(dim_x=len(keep), dim_z=len(measured))
-    kalman.x = state.x[keep].reshape(-1, 1)
-    kalman.P = state.P[part]
+    kalman.x = own.x[keep].reshape(-1, 1)
+    kalman.P = own.P[part]
     kalman.F = _transition(F[part], dt)
     # trapezoid over the interval: the tilt that walks within it moves the velocity
     q = np.diag(_noise(config)[keep])
     kalman.Q = 0.5 * dt * (q + kalman.F @ q @ kalman.F.T)
     kalman.predict()
     if model.closed:
-        window, blocks = state.window, 0
+        window, blocks = own.window, 0
         kalman.H = np.eye(12)[np.ix_(measured, keep)]
         kalman.R = np.eye(len(measured)) * config.sway**2
-        z, floor = v[measured], watch.PUSHED
+        z, floor = v[measured], PUSHED
     else:
-        window, blocks, z, back = _faded(state, gained[:2] / dt, dt)
+        window, blocks, z, back = _faded(config, own, gained[:2] / dt, dt)
         # the mean is of the window's middle
         kalman.H = F[np.ix_(measured, keep)] @ _transition(F[part], -back)
         kalman.R = np.eye(2) * _mean_noise(config, dt)
         floor = TILTED
+    reason = None
     if blocks == 0:
         kalman.update(z.reshape(-1, 1))
-        reason = reason or _contradiction(kalman.y, kalman.S, floor, model)
-    x, P = np.zeros(12), state.P.copy()
+        reason = _contradiction(kalman.y, kalman.S, floor, model)
+    x, P = np.zeros(12), own.P.copy()
     x[keep] = np.asarray(kalman.x, dtype=np.float64).ravel()
     P[part] = 0.5 * (np.asarray(kalman.P, dtype=np.float64) + np.asarray(kalman.P, dtype=np.float64).T)
     biases = state.biases
@@ -161,15 +141,10 @@ def _update(state: Filter, model: Model) -> tuple[Filter, str | None]:
         C = dcm_from_quat(quat_from_rotvec(x[_PHI])) @ C
         biases = biases + np.concatenate([-C.T @ x[_EPS], C.T @ x[_NAB]])
         x = np.zeros(12)
-    seconds = state.seconds + dt
-    status = AlignStatus(
-        estimate=quat_from_dcm(dcm_from_quat(quat_from_rotvec(x[_PHI])) @ C),
-        covariance=P[_PHI, _PHI],
-        limit=state.status.limit,
-        progress=min(1.0, seconds / config.fine_s),
-        done=seconds >= config.fine_s - 0.5 * watch.BLOCK_S,
-    )
-    return Filter(config, given, still, C, v, biases, x, P, status, window, blocks, seconds), reason
+    seconds = own.seconds + dt
+    own = Filter(given, C, v, x, P, window, blocks, seconds)
+    state = state._replace(own=own, biases=biases)
+    return fine_status(state, seconds, dcm_from_quat(quat_from_rotvec(x[_PHI])) @ C, P), reason
 
 
 def _noise(config: AlignConfig) -> Vector:
@@ -195,11 +170,11 @@ def _weight(config: AlignConfig, k: int) -> float:
     return float(half - abs(k + 1 - half))
 
 
-def _faded(state: Filter, force: Vector, dt: float) -> tuple[Vector, int, Vector, float]:
+def _faded(config: AlignConfig, own: Filter, force: Vector, dt: float) -> tuple[Vector, int, Vector, float]:
     """Take a block into the window: it, its blocks (0: it is full), its mean, how far back that lies (s)."""
-    config, k = state.config, state.blocks
+    k = own.blocks
     w = _weight(config, k)
-    window = state.window + w * np.array([1.0, force[0], force[1]])
+    window = own.window + w * np.array([1.0, force[0], force[1]])
     if k + 1 < _length(config):
         return window, k + 1, np.zeros(2), 0.0
     return np.zeros(3), 0, window[1:] / window[0], 0.5 * _length(config) * dt
@@ -224,16 +199,17 @@ def _contradiction(y: Vector, S: Vector, floor: float, model: Model) -> str | No
     return f"the vehicle moves or tilts: {size:.3f} m/s^2 against a standstill"
 
 
-def finish(state: Filter) -> NavInit:
+def finish(state: Standing[Filter]) -> NavInit:
     """Attitude, biases and their covariance at the last sample."""
-    C = dcm_from_quat(quat_from_rotvec(state.x[_PHI])) @ state.C
+    own = state.own
+    C = dcm_from_quat(quat_from_rotvec(own.x[_PHI])) @ own.C
     T = np.linalg.inv(_to_states(C))
-    x = T @ state.x
+    x = T @ own.x
     x[6:] += state.biases
-    place, sigma_p = standing_at(state.config, state.given, state.still, C)
-    return nav_init(state.config, state.still.t_ns, place, sigma_p, C, x, T @ state.P @ T.T)
+    place, sigma_p = standing_at(state.config, own.given, state.still, C)
+    return nav_init(state.config, state.still.t_ns, place, sigma_p, C, x, T @ own.P @ T.T)
 
 
-CLOSED: Final = Stage(init=init, step=stepping(TEN), finish=finish)
-OPEN: Final = Stage(init=init, step=stepping(EIGHT), finish=finish)
-PSI: Final = Stage(init=init, step=stepping(TWELVE), finish=finish)
+CLOSED: Final = Stage(init=init, step=standing(working(TEN)), finish=finish)
+OPEN: Final = Stage(init=init, step=standing(working(EIGHT)), finish=finish)
+PSI: Final = Stage(init=init, step=standing(working(TWELVE)), finish=finish)

@@ -1,8 +1,8 @@
 """Static alignment from any azimuth by unscented filters of large misalignments, then the small-angle filter.
 
 Yan Gongmin 2008, chapter 4, which ends with that advice. The first block gives the level roughly,
-`nav.align.large_bank` the azimuth, and `nav.align.fine` goes on from there with the drifts that are known by
-then.
+`nav.align.large_bank` the azimuth, and a filter of `nav.align.kalman` goes on from there with the drifts that
+are known by then.
 """
 
 from __future__ import annotations
@@ -14,24 +14,26 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nav.align import still as watch
-from nav.align.fine import FINE, Fine, fine_init
-from nav.align.large_bank import ALPHA, DRIFT, SIZE, VEL, Bank, Mean, Noise, block, levelled, mean, start
+from nav.align.large_bank import ALPHA, DRIFT, SIZE, VEL, Bank, Mean, Noise, levelled, mean, start, step
 from nav.align.static import (
     PATIENCE_S,
     SIGMAS,
+    SOMEWHERE,
+    UNKNOWN,
     implausible,
     limits,
+    lost,
     nav_init,
     place_of,
     sensitivities,
     sigma_of_place,
 )
-from nav.align.still import Still
+from nav.align.still import PUSHED, Block, Standing, Still, standing
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import normal_gravity
 from nav.filter.ukf import Points, symmetric_points
 from nav.rotation import quat_from_dcm, rotvec_from_quat
-from nav.types import ImuSample, Sample, Vector
+from nav.types import Vector
 
 TILT: Final = math.radians(2.0)  # how far the force of one block may be from the vertical on a swaying base
 SMALL: Final = math.radians(2.0)  # of azimuth, beside what the drifts explain
@@ -40,61 +42,39 @@ _ZERO: Final = np.zeros(3)
 
 
 class Large(NamedTuple):
-    """State of the stage: the watch, and the bank once there is a place to stand."""
+    """The points of the filters, and the bank of them once there is a place to stand."""
 
-    config: AlignConfig
-    still: Still
-    status: AlignStatus
     points: Points
     bank: Bank | None = None
 
 
-def _begin(config: AlignConfig, given: NavInit | None) -> Large:
-    limit = limits(config, 0.8, 0.0, config.coarse_s + config.fine_s)
-    nothing = AlignStatus(None, np.diag([1.0, 1.0, math.pi**2]), limit, 0.0, False)
-    return Large(config, Still(), nothing, symmetric_points(SIZE))
+def _begin(config: AlignConfig, given: NavInit | None) -> Standing[Large]:
+    limit = limits(config, *SOMEWHERE, config.coarse_s + config.fine_s)
+    nothing = AlignStatus(None, UNKNOWN.copy(), limit, 0.0, False)
+    return Standing(config, Still(), nothing, Large(symmetric_points(SIZE)))
 
 
-def _step(state: Large, sample: Sample) -> tuple[Large, AlignStatus]:
-    """Take any sample."""
-    config, still, status, points, bank = state
-    if isinstance(sample, ImuSample):
-        reason = watch.fault(sample)
-        still = watch.add(still, sample, _ZERO, _ZERO)
-        state = Large(config, still, status, points, bank)
-        if reason is None and watch.full(still):
-            state, reason = _close(state)
-    else:
-        still, reason = watch.aid(still, sample)
-        state = Large(config, still, status, points, bank)
-    if reason is not None:
-        return state, state.status._replace(done=False, refusal=reason)
-    return state, state.status
-
-
-def _close(state: Large) -> tuple[Large, str | None]:
-    """One block: begin, or a step of the bank."""
-    config, bank = state.config, state.bank
-    rotation, dv, _, dt = watch.block(state.still)
-    still, reason = watch.close(state.still, config)
-    place = place_of(config, still)
-    if reason is None and place is None and still.seconds > config.coarse_s + PATIENCE_S:
-        reason = "no position: no GNSS fix came and the configuration gives none"
-    if reason is not None or place is None:
-        return state._replace(still=still), reason
-    if bank is None:
-        reason = _against_gravity(config, place, float(np.linalg.norm(dv)), dt)
+def _work(state: Standing[Large], block: Block) -> tuple[Standing[Large], str | None]:
+    """Begin, or a step of the bank."""
+    config, own, dt = state.config, state.own, block.dt
+    place = place_of(config, state.still)
+    if place is None:
+        return state, lost(config, state.still)
+    reason = None
+    if own.bank is None:
+        reason = _against_gravity(config, place, float(np.linalg.norm(block.dv)), dt)
         if reason is not None:
-            return state._replace(still=still), reason
-        C = levelled(np.eye(3), dv) @ rotation
+            return state, reason
+        C = levelled(np.eye(3), block.dv) @ block.rotation
         noise = Noise(config.gyro_bias, config.angle_random_walk, config.velocity_random_walk, config.sway)
-        bank = start(place, C, TILT, noise, state.points)
+        bank = start(place, C, TILT, noise, own.points)
     else:
-        bank, innovation, square = block(bank, rotvec_from_quat(quat_from_dcm(rotation)), dv, dt)
+        turn = rotvec_from_quat(quat_from_dcm(block.rotation))
+        bank, innovation, square = step(own.bank, turn, block.dv, dt)
         speed = float(np.linalg.norm(innovation))
-        if square > SIGMAS**2 and speed > watch.PUSHED:
+        if square > SIGMAS**2 and speed > PUSHED:
             reason = f"the vehicle moves: {speed:.2f} m/s against a standstill"
-    state = state._replace(still=still, bank=bank)
+    state = state._replace(own=own._replace(bank=bank))
     return (state, reason) if reason is not None else _judge(state, bank, mean(bank))
 
 
@@ -112,7 +92,7 @@ def _against_gravity(
     )
 
 
-def _judge(state: Large, bank: Bank, found: Mean) -> tuple[Large, str | None]:
+def _judge(state: Standing[Large], bank: Bank, found: Mean) -> tuple[Standing[Large], str | None]:
     """Whether the angles are small, and what contradicts a standing IMU on the turning Earth."""
     config, still = state.config, state.still
     lat, _, height = bank.place
@@ -151,9 +131,9 @@ def _covariance(config: AlignConfig, bank: Bank, found: Mean) -> Vector:
     return P
 
 
-def _finish(state: Large) -> NavInit:
+def _finish(state: Standing[Large]) -> NavInit:
     """The members as one, as the fine stage goes on from."""
-    config, still, bank = state.config, state.still, state.bank
+    config, still, bank = state.config, state.still, state.own.bank
     assert bank is not None
     place = place_of(config, still)
     assert place is not None
@@ -164,12 +144,4 @@ def _finish(state: Large) -> NavInit:
     return replace(given, v_g=np.array([*found.velocity, 0.0]))
 
 
-def _take_over(config: AlignConfig, given: NavInit | None) -> Fine:
-    """The fine stage, from velocity and drifts that are not zero."""
-    assert given is not None
-    x = np.concatenate([given.v_g, _ZERO, given.gyro_bias, given.accel_bias])
-    return fine_init(config, given)._replace(x=x)
-
-
-LARGE: Final = Stage(init=_begin, step=_step, finish=_finish)
-SMALL_ANGLE: Final = replace(FINE, init=_take_over)
+LARGE: Final = Stage(init=_begin, step=standing(_work), finish=_finish)

@@ -108,7 +108,7 @@ def start(
     return Bank(place, noise, points, heads, np.zeros((members, SIZE)), P, weight)
 
 
-def block(bank: Bank, turn: Vector, dv: Vector, dt: float) -> tuple[Bank, Vector, float]:
+def step(bank: Bank, turn: Vector, dv: Vector, dt: float) -> tuple[Bank, Vector, float]:
     """One block at rest: rotation vector ``turn`` (3,) and velocity increment ``dv`` (3,) in b at its start.
 
     Returns the likeliest member's innovation (2,) m/s too, and its square over its covariance.

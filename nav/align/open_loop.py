@@ -22,13 +22,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nav.align import still as watch
-from nav.align.static import SIGMAS, limits, nav_init, standing_at, with_constants
-from nav.align.still import Still
-from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
+from nav.align.static import SIGMAS, fine_status, go_on, nav_init, standing_at, with_constants
+from nav.align.still import Block, Standing, standing
+from nav.align.types import AlignConfig, NavInit, Stage
 from nav.earth import earth_rate_g, gravity_g, normal_gravity
-from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec
-from nav.types import ImuSample, Sample, Vector
+from nav.rotation import dcm_from_quat, quat_from_rotvec
+from nav.types import Vector
 
 FEWEST: Final = 4  # blocks that a parabola is laid through
 TILTED: Final = 5e-4  # rad that the level may differ by before anything is said
@@ -39,13 +38,10 @@ _ZERO: Final = np.zeros(3)
 
 
 class Lines(NamedTuple):
-    """State of the stage: integrals up to now, and the sums of the fit."""
+    """Integrals up to now, and the sums of the fit."""
 
-    config: AlignConfig
     given: NavInit
-    still: Still
     C: Vector  # C_gb (3, 3), held
-    status: AlignStatus
     v: Vector  # (3,) m/s
     theta: Vector  # (3,) rad
     area: Vector  # (3,) rad s, integral of theta
@@ -58,77 +54,58 @@ class Lines(NamedTuple):
     P: Vector | None = None  # (12, 12) as the coarse stage's
 
 
-def init(config: AlignConfig, given: NavInit | None) -> Lines:
+def init(config: AlignConfig, given: NavInit | None) -> Standing[Lines]:
     """Begin from the coarse stage's attitude."""
     assert given is not None
-    limit = limits(config, given.lat, given.height, config.coarse_s + config.fine_s)
-    status = AlignStatus(given.q_gb, given.P_phi, limit, 0.0, False)
     zeros = (np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(5), np.zeros((3, 2)), np.zeros(2))
-    return Lines(config, given, Still(), dcm_from_quat(given.q_gb), status, *zeros)
+    return go_on(config, given, Lines(given, dcm_from_quat(given.q_gb), *zeros))
 
 
-def step(state: Lines, sample: Sample) -> tuple[Lines, AlignStatus]:
-    """Work in inertial samples; wheels and GNSS may contradict the rest."""
-    if isinstance(sample, ImuSample):
-        reason = watch.fault(sample)
-        state = state._replace(still=watch.add(state.still, sample, _ZERO, _ZERO))
-        if reason is None and watch.full(state.still):
-            state, reason = _close(state)
-    else:
-        still, reason = watch.aid(state.still, sample)
-        state = state._replace(still=still)
-    if reason is not None:
-        return state, state.status._replace(done=False, refusal=reason)
-    return state, state.status
-
-
-def _close(state: Lines) -> tuple[Lines, str | None]:
+def _work(state: Standing[Lines], block: Block) -> tuple[Standing[Lines], str | None]:
     """Add a block to the integrals and the fit."""
-    config, given, C = state.config, state.given, state.C
-    turned, pushed, dt = watch.sums(state.still)
-    still, reason = watch.close(state.still, config)
-    v = state.v + C @ pushed + gravity_g(given.lat, given.height) * dt
-    theta = state.theta + C @ turned - earth_rate_g(given.lat) * dt
-    area = state.area + 0.5 * (state.theta + theta) * dt
-    seconds = state.seconds + dt
+    own, dt = state.own, block.dt
+    given, C = own.given, own.C
+    v = own.v + C @ block.pushed + gravity_g(given.lat, given.height) * dt
+    theta = own.theta + C @ block.turned - earth_rate_g(given.lat) * dt
+    area = own.area + 0.5 * (own.theta + theta) * dt
+    seconds = own.seconds + dt
     g = normal_gravity(math.sin(given.lat), given.height)
     u = np.array([v[1] / g - area[0], -v[0] / g - area[1]])
     s = seconds / _UNIT
-    state = state._replace(
-        still=still,
+    own = own._replace(
         v=v,
         theta=theta,
         area=area,
-        moments=state.moments + s ** np.arange(5),
-        sums=state.sums + np.outer(s ** np.arange(3), u),
-        squares=state.squares + u**2,
+        moments=own.moments + s ** np.arange(5),
+        sums=own.sums + np.outer(s ** np.arange(3), u),
+        squares=own.squares + u**2,
         seconds=seconds,
-        blocks=state.blocks + 1,
+        blocks=own.blocks + 1,
     )
-    if reason is None and state.blocks >= FEWEST:
-        return _fit(state)
-    return state, reason
+    state = state._replace(own=own)
+    return _fit(state) if own.blocks >= FEWEST else (state, None)
 
 
-def _fit(state: Lines) -> tuple[Lines, str | None]:
-    config, given, T = state.config, state.given, state.seconds
+def _fit(state: Standing[Lines]) -> tuple[Standing[Lines], str | None]:
+    config, own = state.config, state.own
+    given, T = own.given, own.seconds
     g, w = normal_gravity(math.sin(given.lat), given.height), earth_rate_g(given.lat)
-    p = np.linalg.solve(state.moments[np.add.outer(np.arange(3), np.arange(3))], state.sums)
-    left = np.sqrt(np.maximum(state.squares - np.sum(p * state.sums, axis=0), 0.0) / state.blocks)
+    p = np.linalg.solve(own.moments[np.add.outer(np.arange(3), np.arange(3))], own.sums)
+    left = np.sqrt(np.maximum(own.squares - np.sum(p * own.sums, axis=0), 0.0) / own.blocks)
     start = p[1] / _UNIT  # the lines' b, of east and north
     slope = 2.0 * p[2] / _UNIT**2  # their a
-    mean = start + 0.5 * T * slope + state.area[:2] / T  # of the tilt, on which kappa depends
+    mean = start + 0.5 * T * slope + own.area[:2] / T  # of the tilt, on which kappa depends
     phi = np.empty(3)
-    phi[:2] = start + T * slope + state.theta[:2]
+    phi[:2] = start + T * slope + own.theta[:2]
     phi[2] = (mean[1] * w[2] - slope[0]) / w[1]
     # that is the mean azimuth
-    phi[2] += state.theta[2] - state.area[2] / T + 0.5 * T * mean[0] * w[1]
-    each = _covariance(config, state.blocks, T, g)
+    phi[2] += own.theta[2] - own.area[2] / T + 0.5 * T * mean[0] * w[1]
+    each = _covariance(config, own.blocks, T, g)
     J = np.zeros((3, 4))  # by slope and end, of east and of north
     J[0, 1], J[1, 3], J[2, 0], J[2, 3] = 1.0, 1.0, -1.0 / w[1], w[2] / w[1]
     noise = J @ np.kron(np.eye(2), each) @ J.T
     noise[2, 2] += (0.5 * T * config.gyro_bias) ** 2 + config.angle_random_walk**2 * T
-    C = dcm_from_quat(quat_from_rotvec(phi)) @ state.C
+    C = dcm_from_quat(quat_from_rotvec(phi)) @ own.C
     P = with_constants(config, C, given.lat, given.height, noise)
     expected = math.hypot(config.sway, config.velocity_random_walk * math.sqrt(T)) / g
     expected += config.angle_random_walk * T**1.5
@@ -147,14 +124,7 @@ def _fit(state: Lines) -> tuple[Lines, str | None]:
             f"by the accelerometers the level drifts by {math.degrees(odd) * 3600:.2f} deg/h that the gyros "
             "do not see: the vehicle moves, or a sensor drifts"
         )
-    status = AlignStatus(
-        estimate=quat_from_dcm(C),
-        covariance=P[3:6, 3:6],
-        limit=state.status.limit,
-        progress=min(1.0, T / config.fine_s),
-        done=config.fine_s - 0.5 * watch.BLOCK_S <= T,
-    )
-    return state._replace(phi=phi, P=P, status=status), reason
+    return fine_status(state._replace(own=own._replace(phi=phi, P=P)), T, C, P), reason
 
 
 @lru_cache(maxsize=4096)
@@ -189,12 +159,13 @@ def _covariance(config: AlignConfig, blocks: int, seconds: float, g: float) -> V
     )
 
 
-def finish(state: Lines) -> NavInit:
+def finish(state: Standing[Lines]) -> NavInit:
     """Attitude at the last sample."""
-    assert state.P is not None
-    C = dcm_from_quat(quat_from_rotvec(state.phi)) @ state.C
-    place, sigma_p = standing_at(state.config, state.given, state.still, C)
-    return nav_init(state.config, state.still.t_ns, place, sigma_p, C, np.zeros(12), state.P)
+    own = state.own
+    assert own.P is not None
+    C = dcm_from_quat(quat_from_rotvec(own.phi)) @ own.C
+    place, sigma_p = standing_at(state.config, own.given, state.still, C)
+    return nav_init(state.config, state.still.t_ns, place, sigma_p, C, np.zeros(12), own.P)
 
 
-OPEN_LOOP: Final = Stage(init=init, step=step, finish=finish)
+OPEN_LOOP: Final = Stage(init=init, step=standing(_work), finish=finish)

@@ -1,7 +1,7 @@
 """Coarse static alignment: heading from Earth rate, for gyros that can see it.
 
 It averages and constructs the attitude from gravity and Earth rate, "Inertial navigation", eqs. (2-101) and
-(2-113). Fine stages go on from there: `nav.align.fine`, `nav.align.open_loop`, `nav.align.kalman`.
+(2-113). Fine stages go on from there: `nav.align.open_loop`, `nav.align.kalman`.
 
 What none of them can beat, "Inertial navigation", eq. (2-104), strapdown sign of the gyro error: phi_E =
 -nabla_N/g, phi_N = nabla_E/g, phi_U = -eps_E/w_N + tan(L) nabla_E/g. The coarse stage's covariance
@@ -18,24 +18,18 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nav.align import still as watch
-from nav.align.still import Still
+from nav.align.handover import Place, hand_over, imu_place
+from nav.align.still import Block, Own, Standing, Still
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
-from nav.earth import (
-    EARTH_RATE,
-    earth_rate_g,
-    ecef,
-    gravity_g,
-    normal_gravity,
-    position_quat,
-    xyz_to_geodetic,
-)
-from nav.rotation import dcm_from_quat, quat_from_dcm, quat_rotate
-from nav.types import ImuSample, Sample, Vector
+from nav.earth import EARTH_RATE, earth_rate_g, gravity_g, normal_gravity
+from nav.rotation import dcm_from_quat, quat_from_dcm
+from nav.types import Sample, Vector
 
 SIGMAS: Final = 6.0
 BLIND: Final = 0.3  # of the horizontal Earth rate: gyros worse than this cannot find heading
 PATIENCE_S: Final = 60.0  # seconds to wait for a position after the coarse stage
-_ZERO: Final = np.zeros(3)
+SOMEWHERE: Final = (0.8, 0.0)  # latitude rad and height m to say a limit for before they are known
+UNKNOWN: Final = np.diag([1.0, 1.0, math.pi**2])  # rad^2, of an attitude that may be anything
 _VEL, _PHI, _EPS, _NAB = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 
 
@@ -58,12 +52,8 @@ def limits(config: AlignConfig, lat: float, height: float, seconds: float, settl
     return np.array([math.sqrt(level2), math.sqrt(level2), azimuth])
 
 
-class Coarse(NamedTuple):
-    """State of the coarse stage."""
-
-    config: AlignConfig
-    still: Still = Still()
-    status: AlignStatus | None = None
+Coarse = Standing[None]
+"""State of a stage that only averages."""
 
 
 class Meaning(NamedTuple):
@@ -80,57 +70,46 @@ class Meaning(NamedTuple):
 
 def coarse_init(config: AlignConfig, given: NavInit | None) -> Coarse:
     """Begin with nothing known."""
-    return Coarse(config)
+    limit = limits(config, *SOMEWHERE, config.coarse_s)
+    return Coarse(config, Still(), AlignStatus(None, UNKNOWN.copy(), limit, 0.0, False), None)
 
 
 def average(meaning: Meaning) -> Callable[[Coarse, Sample], tuple[Coarse, AlignStatus]]:
     """The step of a stage that averages inertial samples while nothing moves, until ``coarse_s`` are over."""
 
-    def step(state: Coarse, sample: Sample) -> tuple[Coarse, AlignStatus]:
-        """Take any sample."""
-        return _average(state, sample, meaning)
+    def work(state: Coarse, block: Block) -> tuple[Coarse, str | None]:
+        config, still = state.config, state.still
+        place = place_of(config, still)
+        if place is None:
+            return state, lost(config, still)
+        lat, _, height = place
+        ready = still.seconds >= config.coarse_s - 0.5 * watch.BLOCK_S
+        reason = meaning.against(config, still, lat) if ready else None
+        estimate, covariance = None, UNKNOWN.copy()
+        if still.blocks > 1 and reason is None:
+            solved = meaning.solve(config, still, lat, height)
+            if solved is not None:
+                estimate, covariance = quat_from_dcm(solved[0]), solved[1]
+        status = AlignStatus(
+            estimate=estimate,
+            covariance=covariance,
+            limit=meaning.limit(config, lat, height),
+            progress=min(1.0, still.seconds / config.coarse_s),
+            done=ready,
+        )
+        return state._replace(status=status), reason
 
-    return step
-
-
-def _average(state: Coarse, sample: Sample, meaning: Meaning) -> tuple[Coarse, AlignStatus]:
-    config = state.config
-    if isinstance(sample, ImuSample):
-        reason = watch.fault(sample)
-        still = watch.add(state.still, sample, _ZERO, _ZERO)
-        if reason is None and watch.full(still):
-            still, reason = watch.close(still, config)
-        elif reason is None and state.status is not None:
-            return Coarse(config, still, state.status), state.status  # within a block nothing changes
-    else:
-        still, reason = watch.aid(state.still, sample)
-        if reason is None and state.status is not None:
-            return Coarse(config, still, state.status), state.status
-    place = place_of(config, still)
-    ready = still.seconds >= config.coarse_s - 0.5 * watch.BLOCK_S
-    if reason is None and ready:
-        if place is not None:
-            reason = meaning.against(config, still, place[0])
-        elif still.seconds > config.coarse_s + PATIENCE_S:
-            reason = "no position: no GNSS fix came and the configuration gives none"
-    lat, height = (place[0], place[2]) if place is not None else (0.8, 0.0)
-    estimate, covariance = None, np.diag([1.0, 1.0, math.pi**2])
-    if place is not None and still.blocks > 1 and reason is None:
-        solved = meaning.solve(config, still, lat, height)
-        if solved is not None:
-            estimate, covariance = quat_from_dcm(solved[0]), solved[1]
-    status = AlignStatus(
-        estimate=estimate,
-        covariance=covariance,
-        limit=meaning.limit(config, lat, height),
-        progress=min(1.0, still.seconds / config.coarse_s),
-        done=ready and place is not None and reason is None,
-        refusal=reason,
-    )
-    return Coarse(config, still, status), status
+    return watch.standing(work)
 
 
-def place_of(config: AlignConfig, still: Still) -> tuple[float, float, float] | None:
+def lost(config: AlignConfig, still: Still) -> str | None:
+    """Why it cannot go on without a position, once it has waited long enough for one."""
+    if still.seconds > config.coarse_s + PATIENCE_S:
+        return "no position: no GNSS fix came and the configuration gives none"
+    return None
+
+
+def place_of(config: AlignConfig, still: Still) -> Place | None:
     """Where it stands (lat rad, lon rad, height m): as configured, or the antenna's mean; None: not known."""
     if config.position is not None:
         return config.position
@@ -256,54 +235,51 @@ def at_its_place(config: AlignConfig, still: Still, given: NavInit) -> NavInit:
 def nav_init(
     config: AlignConfig,
     t_ns: int,
-    place: tuple[float, float, float],
+    place: Place,
     sigma_p: Vector,
     C: Vector,
     x: Vector,
     P12: Vector,
 ) -> NavInit:
-    """Hand over a standing IMU: ``C`` (3, 3) is C_gb, ``x`` and ``P12`` (12, ...) as in the fine stage."""
+    """Hand over a standing IMU: ``C`` (3, 3) is C_gb, ``x`` (12,) and ``P12`` as in `coarse_covariance`."""
     P = np.zeros((15, 15))
     P[0:3, 0:3] = np.diag(sigma_p**2)
     P[3:15, 3:15] = P12
-    sigma = np.sqrt(np.diag(P))
-    return NavInit(
-        t_ns=t_ns,
-        lat=place[0],
-        lon=place[1],
-        height=place[2],
-        v_g=np.zeros(3),
-        q_gb=quat_from_dcm(C),
-        P_phi=P[6:9, 6:9].copy(),
-        sigma_v=sigma[3:6],
-        sigma_p=sigma[0:3],
-        gyro_bias=x[_EPS].copy(),
-        accel_bias=x[_NAB].copy(),
-        sigma_gyro_bias=sigma[9:12],
-        sigma_accel_bias=sigma[12:15],
-        C_vb=config.C_vb,
-        sigma_mounting=None if config.C_vb is None else np.zeros(3),
-        P=P,
-    )
+    mounting = None if config.C_vb is None else np.full(3, config.sigma_mounting)
+    return hand_over(t_ns, place, np.zeros(3), quat_from_dcm(C), x[6:12], P, config.C_vb, mounting)
 
 
-def standing_at(
-    config: AlignConfig, given: NavInit, still: Still, C: Vector
-) -> tuple[tuple[float, float, float], Vector]:
+def standing_at(config: AlignConfig, given: NavInit, still: Still, C: Vector) -> tuple[Place, Vector]:
     """Place of a standing IMU (lat rad, lon rad, height m) and its sigma (3,), with ``C`` (3, 3) its C_gb.
 
     What GNSS said in ``still``, or in ``given`` where it said nothing, less the lever arm.
     """
-    lat, lon, height = given.lat, given.lon, given.height
-    sigma_p = given.sigma_p
-    if config.position is None:
-        if still.fixes:
-            lat, lon, height = (float(value) for value in still.place)
-            sigma_p = still.sigma_place
-        l_g = C @ config.gnss_lever_arm
-        r_e = ecef(lat, lon, height) - quat_rotate(position_quat(lat, lon), l_g)
-        lat, lon, height = xyz_to_geodetic(*r_e)
-    return (lat, lon, height), sigma_p
+    if config.position is not None:
+        return (given.lat, given.lon, given.height), given.sigma_p
+    place, sigma_p = (given.lat, given.lon, given.height), given.sigma_p
+    if still.fixes:
+        lat, lon, height = (float(value) for value in still.place)
+        place, sigma_p = (lat, lon, height), still.sigma_place
+    return imu_place(place, C @ config.gnss_lever_arm), sigma_p
+
+
+def go_on(config: AlignConfig, given: NavInit, own: Own, biases: Vector | None = None) -> Standing[Own]:
+    """Begin a fine stage where a coarse one ended."""
+    limit = limits(config, given.lat, given.height, config.coarse_s + config.fine_s)
+    status = AlignStatus(given.q_gb, given.P_phi, limit, 0.0, False)
+    return Standing(config, Still(), status, own, np.zeros(6) if biases is None else biases)
+
+
+def fine_status(state: Standing[Own], seconds: float, C: Vector, P12: Vector) -> Standing[Own]:
+    """What a fine stage says after ``seconds``: C_gb (3, 3) and the covariance (12, 12)."""
+    fine_s = state.config.fine_s
+    status = state.status._replace(
+        estimate=quat_from_dcm(C),
+        covariance=P12[_PHI, _PHI],
+        progress=min(1.0, seconds / fine_s),
+        done=seconds >= fine_s - 0.5 * watch.BLOCK_S,
+    )
+    return state._replace(status=status)
 
 
 def _of_both(config: AlignConfig, lat: float, height: float) -> Vector:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from collections.abc import Callable
+from typing import Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from nav.align.disturbance import STUCK_S, hold, stuck_words
 from nav.align.level import gnss_speed
-from nav.align.preintegrate import DT, SIZE, P, R, V, empty, extend, sample_piece
-from nav.align.types import AlignConfig
+from nav.align.preintegrate import DT, SIZE, R, V, empty, extend, sample_piece
+from nav.align.types import AlignConfig, AlignStatus
 from nav.jit import kernel
-from nav.types import GnssFix, ImuFlag, ImuSample, OdoSample, SpeedSample, Vector
+from nav.types import GnssFix, ImuFlag, ImuSample, OdoSample, Sample, SpeedSample, Vector
 
 BLOCK_S: Final = 1.0
 TURNED: Final = math.radians(0.05)  # rad within a block
@@ -29,6 +30,7 @@ _LAST: Final = slice(SIZE + 6, SIZE + 9)  # m/s, the last sample's velocity incr
 _HELD: Final = slice(SIZE + 9, SIZE + 12)  # s, how long each accelerometer has said the same
 _STUCK: Final = SIZE + 12  # the accelerometer that is stuck, or -1
 _NOTHING: Final = np.concatenate([empty(), np.zeros(12), [-1.0]])
+_NO_BIASES: Final = np.zeros(6)
 _NO_SCATTER: Final = np.zeros((2, 3, 3))
 _NOWHERE: Final = np.full(3, math.inf)
 
@@ -176,12 +178,53 @@ def aid(still: Still, sample: object) -> tuple[Still, str | None]:
     ), None
 
 
-def block(still: Still) -> tuple[Vector, Vector, Vector, float]:
-    """Rotation (3, 3), velocity (3,), displacement (3,) in b at the block's start, and its seconds."""
-    p = still.block
-    return p[R].reshape(3, 3), p[V], p[P], float(p[DT])
+Own = TypeVar("Own")
 
 
-def sums(still: Still) -> tuple[Vector, Vector, float]:
-    """Sums of the angle (3,) and velocity (3,) increments of the open block, b, and its seconds."""
-    return still.block[_TURN], still.block[_PUSH], float(still.block[DT])
+class Standing(NamedTuple, Generic[Own]):
+    """State of a stage at rest: the watch over it, what it says, and what is its ``own``."""
+
+    config: AlignConfig
+    still: Still
+    status: AlignStatus
+    own: Own
+    biases: Vector = _NO_BIASES  # (6,) rad/s, m/s^2 in b, taken off the samples
+
+
+class Block(NamedTuple):
+    """A closed block: what its samples come to, in b at its start, and their plain sums."""
+
+    rotation: Vector  # (3, 3)
+    dv: Vector  # (3,) m/s
+    turned: Vector  # (3,) rad
+    pushed: Vector  # (3,) m/s
+    dt: float
+
+
+def standing(
+    work: Callable[[Standing[Own], Block], tuple[Standing[Own], str | None]],
+) -> Callable[[Standing[Own], Sample], tuple[Standing[Own], AlignStatus]]:
+    """The step of a stage at rest that does ``work`` with every closed block, and refuses as it says."""
+
+    def step(state: Standing[Own], sample: Sample) -> tuple[Standing[Own], AlignStatus]:
+        """Work in inertial samples; wheels and GNSS may contradict the rest."""
+        config, still, status, own, biases = state
+        if isinstance(sample, ImuSample):
+            reason = fault(sample)
+            still = add(still, sample, biases[:3], biases[3:])
+            state = Standing(config, still, status, own, biases)
+            if reason is None and full(still):
+                p = still.block
+                block = Block(p[R].reshape(3, 3), p[V], p[_TURN], p[_PUSH], float(p[DT]))
+                still, reason = close(still, config)
+                state = Standing(config, still, status, own, biases)
+                if reason is None:
+                    state, reason = work(state, block)
+        else:
+            still, reason = aid(still, sample)
+            state = Standing(config, still, status, own, biases)
+        if reason is not None:
+            return state, state.status._replace(done=False, refusal=reason)
+        return state, state.status
+
+    return step

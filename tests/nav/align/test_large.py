@@ -8,7 +8,7 @@ import pytest
 
 from nav.align import ALIGNMENTS, AlignConfig, advance, begin, result
 from nav.align.large import LARGE
-from nav.align.large_bank import MEMBERS, SIZE, Noise, block, levelled, mean, start
+from nav.align.large_bank import MEMBERS, SIZE, Noise, levelled, mean, start, step
 from nav.align.types import Alignment
 from nav.earth import earth_rate_g, gravity_g
 from nav.errors.large import misalignment
@@ -56,8 +56,8 @@ def at_rest(seed, config, seconds, dt, C_gb=None):
 
 
 def samples_of(dtheta, dv, dt):
-    step = round(dt * 1e9)
-    return [ImuSample((k + 1) * step, dt, dtheta[k], dv[k], "imu") for k in range(len(dv))]
+    step_ns = round(dt * 1e9)
+    return [ImuSample((k + 1) * step_ns, dt, dtheta[k], dv[k], "imu") for k in range(len(dv))]
 
 
 def align(alignment, samples, config):
@@ -83,7 +83,7 @@ def by_bank(seed, angles_deg, members=MEMBERS):
     begin_at = levelled(misalignment(np.radians(angles_deg)) @ C, dv[0])
     bank = start(PLACE, begin_at, math.radians(1.0), noise, symmetric_points(SIZE), members)
     for k in range(1, 91):
-        bank, _, _ = block(bank, turn[k], dv[k], 1.0)
+        bank, _, _ = step(bank, turn[k], dv[k], 1.0)
     return error(C, mean(bank).C)
 
 
