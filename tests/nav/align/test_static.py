@@ -6,63 +6,29 @@ import math
 import numpy as np
 import pytest
 
-from nav.align import ALIGNMENTS, AlignConfig, advance, begin, result
 from nav.align.static import limits, triad
 from nav.earth import earth_rate_g, gravity_g
-from nav.rotation import dcm_from_euler, dcm_from_quat, quat_from_dcm, rotvec_from_quat
-from nav.types import FixType, GnssFix, ImuFlag, ImuSample, OdoSample
-
-DEG_PER_H = math.pi / 648000.0
-G = 9.80665
-LAT, LON, HEIGHT = math.radians(34.18), math.radians(108.9), 400.0
-DT = 0.2
-
-# navigation grade: 0.007 deg/h, 0.0005 deg/sqrt(h), 50 ug, 10 ug/sqrt(Hz)
-GRADE = AlignConfig(
-    gyro_bias=0.007 * DEG_PER_H,
-    accel_bias=5e-5 * G,
-    angle_random_walk=math.radians(0.0005) / 60.0,
-    velocity_random_walk=1e-5 * G,
-    coarse_s=60.0,
-    fine_s=240.0,
-    position=(LAT, LON, HEIGHT),
+from nav.rotation import dcm_from_euler, quat_from_dcm, rotvec_from_quat
+from nav.types import ImuFlag, ImuSample, OdoSample
+from tests.nav.align import making
+from tests.nav.align.making import (
+    DEG_PER_H,
+    DT,
+    GRADE,
+    HEIGHT,
+    LAT,
+    LON,
+    QUICK,
+    G,
+    fix,
+    misalignment,
+    moved,
+    standing,
 )
 
 
-def standing(seed, config=GRADE, seconds=300.0, attitude=(None, None, None)):
-    """True C_gb, true biases and the samples of a standing IMU."""
-    rng = np.random.default_rng(seed)
-    heading = rng.uniform(0.0, 2.0 * math.pi) if attitude[0] is None else attitude[0]
-    pitch, roll = rng.uniform(-0.3, 0.3, 2) if attitude[1] is None else attitude[1:]
-    C_gb = dcm_from_euler(heading, pitch, roll)
-    eps, nabla = config.gyro_bias * rng.standard_normal(3), config.accel_bias * rng.standard_normal(3)
-    n = round(seconds / DT)
-    root = math.sqrt(DT)
-    rate = C_gb.T @ earth_rate_g(LAT) + eps
-    force = C_gb.T @ -gravity_g(LAT, HEIGHT) + nabla
-    dtheta = rate * DT + config.angle_random_walk * root * rng.standard_normal((n, 3))
-    dv = force * DT + config.velocity_random_walk * root * rng.standard_normal((n, 3))
-    step = round(DT * 1e9)
-    samples = [ImuSample((k + 1) * step, DT, dtheta[k], dv[k], "imu") for k in range(n)]
-    return C_gb, eps, nabla, samples
-
-
 def align(samples, config=GRADE):
-    run = begin(ALIGNMENTS["static"], config)
-    refusals = []
-    status = None
-    for sample in samples:
-        run, status = advance(run, sample)
-        if status.refusal:
-            refusals.append(status.refusal)
-        if status.done:
-            return result(run), status, refusals
-    return None, status, refusals
-
-
-def misalignment(C_gb, init):
-    """phi with true C_gb = (I + [phi x]) estimated C_gb."""
-    return rotvec_from_quat(quat_from_dcm(C_gb @ dcm_from_quat(init.q_gb).T))
+    return making.align("static", samples, config)[:3]
 
 
 def test_error_free_sensors_give_the_attitude_in_any_orientation():
@@ -90,9 +56,7 @@ def test_five_minutes_reach_the_limit_and_sigma_agrees_with_the_spread():
         phi[seed] = misalignment(C_gb, init)
         sigma[seed] = np.sqrt(np.diag(init.P_phi))
         nees[seed] = phi[seed] @ np.linalg.solve(init.P_phi, phi[seed])
-        error = np.concatenate([phi[seed], eps - init.gyro_bias, nabla - init.accel_bias])
-        P = init.P[6:15, 6:15]
-        bias_nees[seed] = error @ np.linalg.solve(P, error)
+        bias_nees[seed] = making.nees(C_gb, eps, nabla, init)
     limit = status.limit
     rms = np.sqrt(np.mean(phi**2, axis=0))
     # a bias of 0.007 deg/h is 0.032 deg of heading at 34 deg
@@ -133,23 +97,6 @@ def test_signs_of_equation_2_104():
         np.testing.assert_allclose(found, phi, atol=2e-4 * np.max(np.abs(phi)))
 
 
-def fix(t_s, *, lat=LAT, v=0.0, sigma=1.0):
-    return GnssFix(
-        t_ns=round(t_s * 1e9),
-        lat=lat,
-        lon=LON,
-        height=HEIGHT,
-        sigma_position=np.full(3, sigma),
-        v_g=np.array([0.0, v, 0.0]),
-        sigma_velocity=np.full(3, 0.05),
-        fix_type=FixType.FIX_3D,
-        device="gnss",
-    )
-
-
-QUICK = dataclasses.replace(GRADE, coarse_s=20.0, fine_s=40.0)
-
-
 def test_position_comes_from_gnss_and_the_lever_arm_is_taken_off():
     config = dataclasses.replace(QUICK, position=None, gnss_lever_arm=np.array([0.0, 10.0, 2.0]))
     _, _, _, samples = standing(3, config, 61.0, (0.0, 0.0, 0.0))
@@ -171,14 +118,6 @@ def test_without_a_position_it_says_so():
     init, _, refusals = align(samples, config)
     assert init is None
     assert "no position" in refusals[0]
-
-
-def moved(samples, begin_s, change):
-    out = []
-    for sample in samples:
-        t = sample.t_ns * 1e-9 - begin_s
-        out.append(change(sample, t) if t > 0.0 else sample)
-    return out
 
 
 @pytest.mark.parametrize("begin_s", [10.0, 35.0])  # in the coarse and in the fine stage

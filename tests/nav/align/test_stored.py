@@ -8,8 +8,8 @@ import pytest
 
 from nav.align import ALIGNMENTS, lack
 from nav.rotation import dcm_from_euler, dcm_from_quat, quat_from_dcm, quat_from_rotvec
-from tests.nav.align.test_analytic import align
-from tests.nav.align.test_static import DEG_PER_H, LAT, QUICK, G, misalignment, moved, standing
+from tests.nav.align import making
+from tests.nav.align.making import DEG_PER_H, LAT, QUICK, G, misalignment, moved, standing
 
 NAME = "stored"
 DEG = math.radians(1.0)
@@ -57,13 +57,12 @@ def test_it_is_as_good_as_it_says(config, known):
         else:
             made = by_attitude(seed, config, np.array([0.1, 0.1, 0.5]) * DEG)
         C_gb, eps, nabla, samples, full = made
-        init, status, refusals = align(NAME, samples, full)
+        init, status, refusals, *_ = making.align(NAME, samples, full)
         assert not refusals
         assert init.t_ns == round(20e9)
         np.testing.assert_allclose(status.covariance, init.P_phi)
         phi = misalignment(C_gb, init)
-        error = np.concatenate([phi, eps - init.gyro_bias, nabla - init.accel_bias])
-        nees[seed] = error @ np.linalg.solve(init.P[6:15, 6:15], error)
+        nees[seed] = making.nees(C_gb, eps, nabla, init)
         ratio[seed] = phi / status.limit
         assert np.all(np.sqrt(np.diag(init.P_phi)) > 0.7 * status.limit)
     # 8 seeds: the mean square of one component is below 2.2 of its variance with 97.5 %; sway, of which there
@@ -75,10 +74,10 @@ def test_it_is_as_good_as_it_says(config, known):
 
 def test_good_gyros_sharpen_the_heading_and_the_heading_shows_poor_gyros():
     *_, samples, config = by_heading(3, QUICK, 0.3 * DEG)
-    init, _, _ = align(NAME, samples, config)
+    init, _, _, *_ = making.align(NAME, samples, config)
     assert math.sqrt(init.P_phi[2, 2]) < 0.2 * DEG
     *_, samples, config = by_heading(3, POOR, 0.3 * DEG)
-    init, _, _ = align(NAME, samples, config)
+    init, _, _, *_ = making.align(NAME, samples, config)
     assert math.sqrt(init.P_phi[2, 2]) == pytest.approx(0.3 * DEG, rel=1e-2)
     # 0.3 deg/sqrt(h) in 20 s are 4 deg/h, of 50
     assert np.all(init.sigma_gyro_bias < 5.0 * DEG_PER_H)
@@ -87,7 +86,7 @@ def test_good_gyros_sharpen_the_heading_and_the_heading_shows_poor_gyros():
 def test_the_heading_is_of_the_vehicle_and_the_mounting_counts():
     C_vb = dcm_from_euler(2.0, 0.1, 0.05).T
     C_gb, *_, samples, config = by_heading(4, POOR, 0.3 * DEG, 0.0, C_vb=C_vb)
-    init, _, refusals = align(NAME, samples, config)
+    init, _, refusals, *_ = making.align(NAME, samples, config)
     assert not refusals
     # the level is off by 1 mg
     assert abs(heading_of(dcm_from_quat(init.q_gb), C_vb) - heading_of(C_gb, C_vb)) < 1e-3
@@ -95,7 +94,7 @@ def test_the_heading_is_of_the_vehicle_and_the_mounting_counts():
 
 def test_without_a_mounting_a_heading_is_refused():
     *_, samples, config = by_heading(4, POOR, 0.3 * DEG)
-    init, _, refusals = align(NAME, samples, dataclasses.replace(config, C_vb=None))
+    init, _, refusals, *_ = making.align(NAME, samples, dataclasses.replace(config, C_vb=None))
     assert init is None
     assert "mounting" in refusals[0]
 
@@ -103,7 +102,7 @@ def test_without_a_mounting_a_heading_is_refused():
 def test_it_needs_something_known():
     assert lack(ALIGNMENTS[NAME], set(), QUICK) == "heading"
     *_, samples = standing(5, QUICK, 21.0)
-    init, _, refusals = align(NAME, samples, QUICK)
+    init, _, refusals, *_ = making.align(NAME, samples, QUICK)
     assert init is None
     assert "neither a heading nor an attitude" in refusals[0]
 
@@ -112,7 +111,7 @@ def test_it_needs_something_known():
 def test_a_vehicle_that_was_turned_round_is_refused(config):
     # 1 deg/h and 0.05 deg/sqrt(h) in 20 s are 8 deg of heading: what they see is more than 6 times that
     *_, samples, full = by_heading(6, config, 0.3 * DEG, 0.5 * math.pi)
-    init, _, refusals = align(NAME, samples, full)
+    init, _, refusals, *_ = making.align(NAME, samples, full)
     assert init is None
     assert "turned since" in refusals[0]
 
@@ -121,7 +120,7 @@ def test_a_level_that_disagrees_is_refused_beyond_its_sigma():
     for known, refused in ((0.05 * DEG, True), (0.5 * DEG, False)):
         sigma = np.array([known, known, 0.5 * DEG])
         C_gb, *_, samples, config = by_attitude(7, TACTICAL, sigma, [1.0 * DEG, 0.0, 0.0])
-        init, _, refusals = align(NAME, samples, config)
+        init, _, refusals, *_ = making.align(NAME, samples, config)
         if refused:
             assert init is None
             # 0.06 deg of it may be the accelerometer's
@@ -142,7 +141,7 @@ def test_a_level_that_disagrees_is_refused_beyond_its_sigma():
 def test_it_refuses_with_the_cause(words, change):
     *_, samples, config = by_heading(8, TACTICAL, 0.3 * DEG)
     begin_s = 0.0 if words == "turns" else 10.0
-    _, _, refusals = align(NAME, moved(samples, begin_s, change), config)
+    refusals = making.align(NAME, moved(samples, begin_s, change), config).refusals
     assert words in refusals[0]
 
 
@@ -150,12 +149,12 @@ def test_a_stuck_accelerometer_is_named():
     *_, samples, config = by_heading(8, TACTICAL, 0.3 * DEG)
     last = samples[49].dv[0]
     stuck = moved(samples, 10.0, lambda s, t: s._replace(dv=np.array([last, *s.dv[1:]])))
-    _, _, refusals = align(NAME, stuck, config)
+    refusals = making.align(NAME, stuck, config).refusals
     assert "the right accelerometer is stuck" in refusals[0]
 
 
 def test_a_wrong_latitude_is_noticed_by_gyros_that_see_it():
     *_, samples, config = by_heading(9, QUICK, 0.3 * DEG)
     wrong = dataclasses.replace(config, position=(LAT + 0.3, 1.9, 400.0))
-    _, _, refusals = align(NAME, samples, wrong)
+    refusals = making.align(NAME, samples, wrong).refusals
     assert "latitude" in refusals[0]
