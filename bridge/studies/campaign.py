@@ -5,9 +5,7 @@ The seeds are ``seed_base``, ``seed_base + 1``, ... and every one counts; none i
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
@@ -16,12 +14,10 @@ import numpy as np
 from bridge.errors import ConfigError
 from bridge.studies.consistency import Alignment, Consistency, alignment, consistency
 from bridge.studies.headless import Sampled, fly, load, navigator_of
-from bridge.warm import warm_up
+from bridge.studies.workers import Progress, each
 from nav.align.static import limits
 from nav.filter.settings import align_config
 from virtual_bus.scenario import Scenario
-
-Progress = Callable[[int, int], None]
 
 EPOCHS: Final = 12
 _START_S: Final = 5.0  # of navigation before the first epoch
@@ -105,7 +101,7 @@ def _fly_all(
     one = partial(_fly_one, what, seconds, tuple(instants))
     seeds = range(seed_base, seed_base + runs)
     flown: dict[int, Sampled] = {}
-    for sampled in _each(one, seeds, min(jobs, runs)):
+    for sampled in each(one, seeds, jobs):
         flown[sampled.seed] = sampled
         if progress is not None:
             progress(len(flown), runs)
@@ -114,19 +110,3 @@ def _fly_all(
 
 def _fly_one(what: Scenario, seconds: float | None, instants: tuple[float, ...], seed: int) -> Sampled:
     return fly(what, seed, seconds, instants)
-
-
-def _each(one: Callable[[int], Sampled], seeds: range, jobs: int) -> Iterator[Sampled]:
-    if jobs <= 1:
-        yield from map(one, seeds)
-        return
-    warm_up()  # compiled once here, read from the cache by the workers
-    # fork would copy the threads' locks of whoever calls
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
-        waiting = [pool.submit(one, seed) for seed in seeds]
-        try:
-            for done in as_completed(waiting):
-                yield done.result()
-        finally:
-            for future in waiting:
-                future.cancel()
