@@ -7,13 +7,14 @@ from typing import Final
 
 import numpy as np
 
-from nav.align import constant
+from nav.align import constant, handover
 from nav.align.apparent import A_T, A_V, C_i0g, attitude
 from nav.align.constant import EPS, NAB, SIZE, START, THETA, VEL, Solved
+from nav.align.handover import Place
 from nav.align.static import BLIND
 from nav.align.types import AlignConfig, NavInit
-from nav.earth import EARTH_RATE, ecef, position_quat, xyz_to_geodetic
-from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_rotate, skew
+from nav.earth import EARTH_RATE
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, skew
 from nav.types import Vector
 
 LATITUDES: Final = 0.0053  # of gravity, from the equator to a pole
@@ -52,20 +53,13 @@ def velocity_now(solved: Solved, row: Vector, u: Vector, known: Vector) -> Vecto
     return np.asarray(felt - solved.C @ u - known)
 
 
-def imu_place(antenna: Vector, l_g: Vector) -> tuple[float, float, float]:
-    """Place of the IMU (rad, rad, m) under an antenna's (3,), by the lever arm (3,) m east, north, up."""
-    lat, lon, height = (float(value) for value in antenna)
-    r_e = ecef(lat, lon, height) - quat_rotate(position_quat(lat, lon), l_g)
-    return xyz_to_geodetic(float(r_e[0]), float(r_e[1]), float(r_e[2]))
-
-
-def hand_over(
+def handed(
     config: AlignConfig,
     solved: Solved,
     row: Vector,
     t_ns: int,
-    start: tuple[float, float, float],
-    place: tuple[float, float, float],
+    start: Place,
+    place: Place,
     sigma_p: Vector,
     v_b0: Vector,
     u: Vector,
@@ -84,26 +78,10 @@ def hand_over(
     J[9:12, _at(EPS)] = J[12:15, _at(NAB)] = _EYE
     P = J @ solved.P @ J.T
     P[0:3, 0:3] = np.diag(sigma_p**2)
-    P = 0.5 * (P + P.T)
-    sigma = np.sqrt(np.diag(P))
-    return NavInit(
-        t_ns=t_ns,
-        lat=place[0],
-        lon=place[1],
-        height=place[2],
-        v_g=C_gb0 @ v_b0,
-        q_gb=quat_from_dcm(C_gb),
-        P_phi=P[6:9, 6:9].copy(),
-        sigma_v=sigma[3:6],
-        sigma_p=sigma[0:3],
-        gyro_bias=solved.x[EPS].copy(),
-        accel_bias=solved.x[NAB].copy(),
-        sigma_gyro_bias=sigma[9:12],
-        sigma_accel_bias=sigma[12:15],
-        C_vb=config.C_vb,
-        sigma_mounting=None if config.C_vb is None else np.full(3, config.sigma_mounting),
-        P=P,
-    )
+    mounting = None if config.C_vb is None else np.full(3, config.sigma_mounting)
+    biases = np.concatenate([solved.x[EPS], solved.x[NAB]])
+    v_g, q_gb = C_gb0 @ v_b0, quat_from_dcm(C_gb)
+    return handover.hand_over(t_ns, place, v_g, q_gb, biases, P, config.C_vb, mounting)
 
 
 def poor_gyros(config: AlignConfig, lat: float, seconds: float) -> str | None:

@@ -11,7 +11,7 @@ from nav.jit import kernel
 from nav.types import Vector
 
 EPOCHS: Final = 16  # differences that count as the present
-LAG: Final = 4
+NEAR, FAR = 2, 4  # epochs between those that a difference takes
 GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)
 STUCK_S: Final = 2.0
 _AXES: Final = ("right", "forward", "up")
@@ -21,7 +21,8 @@ class Roughness(NamedTuple):
     """The last epochs, and the mean squares of the last fourth differences of them.
 
     A cubic has none, so neither gravity, its drift nor a bias shows, only what is different from epoch to
-    epoch. They are taken between neighbours and between every `LAG`-th epoch, which sees a slower sway.
+    epoch. They are taken between every `NEAR`-th epoch, since neighbours overlap, and between every `FAR`-th,
+    which sees a slower sway.
     """
 
     t: tuple[float, ...] = ()
@@ -40,12 +41,12 @@ class Roughness(NamedTuple):
 
 def follow(rough: Roughness, t: float, z: Vector) -> Roughness:
     """Add the epoch ``z`` (3,) at ``t`` s."""
-    times, values = (*rough.t, t)[-4 * LAG - 1 :], (*rough.z, z)[-4 * LAG - 1 :]
+    times, values = (*rough.t, t)[-4 * FAR - 1 :], (*rough.z, z)[-4 * FAR - 1 :]
     near, far = rough.near, rough.far
-    if len(times) >= 5:
-        near = (*near, _square(times[-5:], values[-5:]))[-EPOCHS:]
-    if len(times) > 4 * LAG:
-        far = (*far, _square(times[::LAG], values[::LAG]))[-EPOCHS:]
+    if len(times) > 4 * NEAR:
+        near = (*near, _square(times[::-NEAR][:5], values[::-NEAR][:5]))[-EPOCHS:]
+    if len(times) > 4 * FAR:
+        far = (*far, _square(times[::FAR], values[::FAR]))[-EPOCHS:]
     return Roughness(times, values, near, far)
 
 

@@ -15,7 +15,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nav.align import constant
-from nav.align import still as watch
 from nav.align.apparent import (
     A_P,
     A_T,
@@ -28,24 +27,18 @@ from nav.align.apparent import (
     change,
     felt,
     inertial,
-    present,
     reach,
     spin,
     tracker,
     turn,
 )
-from nav.align.apparent_result import (
-    attitude_now,
-    contradiction,
-    hand_over,
-    imu_place,
-    poor_gyros,
-    velocity_now,
-)
+from nav.align.apparent_result import attitude_now, contradiction, handed, poor_gyros, velocity_now
+from nav.align.apparent_stage import Taken, blank, due, duration, progress, stepping, without_place
 from nav.align.constant import OFFSET, POS, START, VEL, WHEEL, Estimate, Solved
-from nav.align.disturbance import Held, held, stuck
+from nav.align.disturbance import Held, held
 from nav.align.epochs import SETTLE_S
-from nav.align.static import PATIENCE_S, limits
+from nav.align.handover import Place, imu_place
+from nav.align.static import PATIENCE_S
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import earth_rate_g, position_matrix, radii, transport_rate_g
 from nav.rotation import quat_from_dcm, rotvec_from_quat
@@ -94,7 +87,7 @@ class Drive(NamedTuple):
     status: AlignStatus | None = None
     w_in_g: Vector = _ZERO  # rad/s, with the velocity of the last epoch
     v_g: Vector = _ZERO
-    place: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the antenna at the last epoch
+    place: Place = (0.0, 0.0, 0.0)  # of the antenna at the last epoch
     t_ns: int = 0
 
 
@@ -103,25 +96,16 @@ def init(config: AlignConfig, given: NavInit | None) -> Drive:
     return Drive(config, held())
 
 
-def _duration(config: AlignConfig) -> float:
-    return config.coarse_s + config.fine_s
-
-
-def _blank(config: AlignConfig, lat: float, height: float) -> AlignStatus:
-    limit = limits(config, lat, height, _duration(config))
-    return AlignStatus(None, np.diag([1.0, 1.0, math.pi**2]), limit, 0.0, False)
-
-
-def _begin(state: Drive, sample: ImuSample) -> tuple[Drive, str | None]:
+def _begin(state: Drive, sample: ImuSample) -> Taken[Drive]:
     config, fix = state.config, state.fix
     if fix is None:
         waited = state.waited + sample.dt
-        reason = "no position: no GNSS fix came" if waited > PATIENCE_S else None
-        return state._replace(waited=waited, status=_blank(config, 0.8, 0.0)), reason
+        return state._replace(waited=waited), without_place(waited)
     track = tracker(sample.t_ns - round(sample.dt * 1e9))
     sigma = float(np.max(fix.sigma_position))
     far = np.full(3, sigma + float(np.linalg.norm(config.gnss_lever_arm)) + PATIENCE_S)
-    path = inertial(fix.lat, fix.lon, fix.height)
+    start = (fix.lat, fix.lon, fix.height)
+    path = inertial(*start)
     state = state._replace(
         track=track,
         path=path,
@@ -129,51 +113,34 @@ def _begin(state: Drive, sample: ImuSample) -> tuple[Drive, str | None]:
         estimate=constant.begin(config, START_SPEED, sigma, far),
         row=track.row.copy(),
         rest=Rest(since=0.0, place=path.r_0),
-        status=_blank(config, fix.lat, fix.height),
+        status=blank(config, start),
         # there and back: compiled now, not when it ends
-        place=imu_place(np.array([fix.lat, fix.lon, fix.height]), _ZERO),
+        place=imu_place(start, _ZERO),
     )
-    return state, poor_gyros(config, fix.lat, _duration(config))
+    return state, poor_gyros(config, fix.lat, duration(config))
 
 
-def step(state: Drive, sample: Sample) -> tuple[Drive, AlignStatus]:
-    """Work in inertial samples and fixes; an odometer, where there is one, tells stops."""
-    reason = None
-    if isinstance(sample, GnssFix):
-        if sample.fix_type >= FixType.FIX_3D:
-            if state.track is None:
-                state = state._replace(fix=sample)
-            else:
-                state, reason = _fixes(state._replace(pending=(*state.pending, sample)))
-    elif isinstance(sample, OdoSample):
+def _aid(state: Drive, sample: Sample) -> Taken[Drive]:
+    """A fix; an odometer, where there is one, tells stops."""
+    if isinstance(sample, GnssFix) and sample.fix_type >= FixType.FIX_3D:
+        if state.track is None:
+            return state._replace(fix=sample), None
+        return _fixes(state._replace(pending=(*state.pending, sample)), state.track)
+    if isinstance(sample, OdoSample):
         rolled = (state.rest.rolled or 0.0) + abs(sample.distance)
         state = state._replace(rest=state.rest._replace(rolled=rolled))
-    elif isinstance(sample, ImuSample):
-        reason = watch.fault(sample) or stuck(state.hold, sample.dv, sample.dt)
-        if reason is None and state.track is None:
-            state, reason = _begin(state, sample)
-        if reason is None and state.track is not None:
-            state, reason = _add(state, state.track, sample)
-    status = state.status
-    if status is None:
-        status = _blank(state.config, 0.8, 0.0)
-    if reason is not None:
-        return state, status._replace(done=False, refusal=reason)
-    if status.estimate is None or status.done or state.track is None or state.row is None:
-        return state, status
-    q_gb = present(state.track, state.row, status.estimate, state.w_in_g, _ZERO)
-    return state, AlignStatus(q_gb, status.covariance, status.limit, status.progress, False)
+    return state, None
 
 
-def _add(state: Drive, track: Tracker, sample: ImuSample) -> tuple[Drive, str | None]:
+def _take(state: Drive, track: Tracker, sample: ImuSample) -> Taken[Drive]:
     assert state.row is not None
     ahead = float(track.row[A_T] + track.waiting[1]) + sample.dt
     # from then on the end may come with any sample
-    late = ahead > _duration(state.config) - 1e-6
+    late = ahead > duration(state.config) - 1e-6
     add(*track, sample.dtheta, sample.dv, sample.dt, sample.t_ns, late)
     reason = None
     if state.pending:
-        state, reason = _fixes(state)
+        state, reason = _fixes(state, track)
     assert state.row is not None
     if ahead - float(state.row[A_T]) > PATIENCE_S:
         reason = reason or f"no GNSS for {PATIENCE_S:.0f} s"
@@ -183,25 +150,22 @@ def _add(state: Drive, track: Tracker, sample: ImuSample) -> tuple[Drive, str | 
     return state, reason
 
 
-def _fixes(state: Drive) -> tuple[Drive, str | None]:
+def _fixes(state: Drive, track: Tracker) -> Taken[Drive]:
     """Work in the fixes whose time the inertial samples have reached."""
-    pending, reason, track = state.pending, None, state.track
-    assert track is not None
-    while pending and reason is None:
-        fix = pending[0]
-        t_ns = fix.t_ns
-        if fix.v_g is not None:
-            t_ns -= round(state.config.gnss_velocity_age * 1e9)
-        row = at(track, t_ns)
-        if row is None and t_ns > int(track.times[0]):
-            break
-        pending = pending[1:]
-        if row is not None:
-            state, reason = _epoch(state, track, row, t_ns, fix)
+
+    def age_ns(fix: GnssFix) -> int:
+        return 0 if fix.v_g is None else round(state.config.gnss_velocity_age * 1e9)
+
+    reason = None
+    found, pending = due(track, state.pending, age_ns)
+    while found is not None and reason is None:
+        row, fix = found
+        state, reason = _epoch(state, track, row, fix.t_ns - age_ns(fix), fix)
+        found, pending = due(track, pending, age_ns)
     return state._replace(pending=pending), reason
 
 
-def _epoch(state: Drive, track: Tracker, row: Vector, t_ns: int, fix: GnssFix) -> tuple[Drive, str | None]:
+def _epoch(state: Drive, track: Tracker, row: Vector, t_ns: int, fix: GnssFix) -> Taken[Drive]:
     """One fix: where it puts the motion in i0, and what the filter makes of that."""
     config, path, last, old = state.config, state.path, state.fix, state.row
     assert path is not None
@@ -255,12 +219,11 @@ def _epoch(state: Drive, track: Tracker, row: Vector, t_ns: int, fix: GnssFix) -
     state = state._replace(estimate=constant.update(e, H, z, R), fix=fix, odd=0)
     if seconds < SETTLE_S:
         assert state.status is not None
-        progress = min(0.99, seconds / _duration(config))
-        return state._replace(status=state.status._replace(progress=progress)), None
+        return state._replace(status=state.status._replace(progress=_part(state))), None
     return _solve(state, False)
 
 
-def _odd(state: Drive, reason: str) -> tuple[Drive, str | None]:
+def _odd(state: Drive, reason: str) -> Taken[Drive]:
     """Leave a fix out; too many in a row are no outliers."""
     return state._replace(odd=state.odd + 1), reason if state.odd + 1 >= MOST_ODD else None
 
@@ -283,7 +246,7 @@ def _jump(last: GnssFix, fix: GnssFix) -> float | None:
     return float(np.linalg.norm(miss)) if bool(np.any(np.abs(miss) > slack)) else None
 
 
-def _moved(place: tuple[float, float, float], d: Vector) -> tuple[float, float, float]:
+def _moved(place: Place, d: Vector) -> Place:
     """Place (rad, rad, m) a few metres ``d`` (3,) east, north, up of another."""
     r_m, r_n = radii(math.sin(place[0]))
     east = float(d[0]) / ((r_n + place[2]) * math.cos(place[0]))
@@ -332,20 +295,26 @@ def _stopped(state: Drive, old: Vector, row: Vector, r_e: Vector, fix: GnssFix) 
     return new, seconds - begin > QUIET_S and gone < limit
 
 
-def _solve(state: Drive, done: bool) -> tuple[Drive, str | None]:
+def _part(state: Drive) -> float:
+    """Progress; it may have to wait for fixes that are good enough."""
+    assert state.row is not None
+    return min(0.99, progress(state.config, float(state.row[A_T])))
+
+
+def _solve(state: Drive, done: bool) -> Taken[Drive]:
     row, e, path, old = state.row, state.estimate, state.path, state.status
     assert row is not None
     assert e is not None
     assert path is not None
     assert old is not None
     solved = constant.attitude_of_all(e)
-    progress = 1.0 if done else min(0.99, float(row[A_T]) / _duration(state.config))
+    part = 1.0 if done else _part(state)
     if solved is None:
-        return state._replace(status=old._replace(progress=progress)), None
+        return state._replace(status=old._replace(progress=part)), None
     since = math.remainder(state.place[1] - path.lon, 2.0 * math.pi)
     C_gb, P_phi = attitude_now(solved, row, path.lat, state.place[0], since)
     v_b0, _ = _velocity(state, solved, row)
-    status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, progress, done)
+    status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, part, done)
     v_g = C_gb @ attitude(row).T @ v_b0
     lat, _, height = state.place
     w_in_g = earth_rate_g(lat) + transport_rate_g(lat, height, v_g)
@@ -361,7 +330,7 @@ def _velocity(state: Drive, solved: Solved, row: Vector) -> tuple[Vector, Vector
     return velocity_now(solved, row, u, _ZERO), u
 
 
-def _end(state: Drive, row: Vector) -> tuple[Drive, str | None]:
+def _end(state: Drive, row: Vector) -> Taken[Drive]:
     """Bring the last epoch's estimate and place to the last sample."""
     assert state.row is not None
     assert state.estimate is not None
@@ -380,11 +349,15 @@ def finish(state: Drive) -> NavInit:
     assert state.status is not None
     C_gb = attitude_now(state.solved, state.row, state.path.lat, state.place[0], 0.0)[0]
     v_b0, u = _velocity(state, state.solved, state.row)
-    antenna = np.array(state.place)
-    place = imu_place(antenna, C_gb @ state.config.gnss_lever_arm)
+    place = imu_place(state.place, C_gb @ state.config.gnss_lever_arm)
     sigma_p = np.asarray(state.fix.sigma_position, dtype=np.float64)
     start = (state.path.lat, state.path.lon, 0.0)
-    return hand_over(state.config, state.solved, state.row, state.t_ns, start, place, sigma_p, v_b0, u)
+    return handed(state.config, state.solved, state.row, state.t_ns, start, place, sigma_p, v_b0, u)
 
 
-GNSS: Final = Stage(init=init, step=step, finish=finish)
+def _since(state: Drive) -> tuple[Vector, Vector, Vector]:
+    assert state.row is not None
+    return state.row, state.w_in_g, _ZERO
+
+
+GNSS: Final = Stage(init, stepping(_aid, _begin, _take, _since), finish)

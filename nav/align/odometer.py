@@ -25,7 +25,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nav.align import constant
-from nav.align import still as watch
 from nav.align.apparent import (
     A_P,
     A_T,
@@ -33,42 +32,27 @@ from nav.align.apparent import (
     C_i0g,
     Tracker,
     add,
-    at,
     attitude,
     cross_matrix,
     gravity_integrals,
     polar_axis,
-    present,
     tracker,
 )
-from nav.align.apparent_result import (
-    attitude_now,
-    contradiction,
-    hand_over,
-    imu_place,
-    poor_gyros,
-    velocity_now,
-)
-from nav.align.constant import OFFSET, POS, START, VEL, WHEEL, Solved
-from nav.align.disturbance import Held, Window, held, spread, stuck, weigh, window
+from nav.align.apparent_epoch import Mean, Pair, against_gravity, close, fill, pair
+from nav.align.apparent_result import attitude_now, contradiction, handed, poor_gyros, velocity_now
+from nav.align.apparent_stage import Taken, blank, due, duration, progress, stepping, without_place
+from nav.align.constant import WHEEL, Solved
+from nav.align.disturbance import Held, held
 from nav.align.epochs import Book, bring, take
+from nav.align.handover import Place, imu_place
 from nav.align.level import level_dcm
 from nav.align.rolled import Reckoning, gravity_change, transport
-from nav.align.static import PATIENCE_S, limits
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
-from nav.earth import (
-    EARTH_RATE,
-    earth_rate_g,
-    ecef,
-    gravity_g,
-    position_matrix,
-    xyz_to_geodetic,
-)
+from nav.earth import EARTH_RATE, earth_rate_g, ecef, position_matrix, xyz_to_geodetic
 from nav.rotation import quat_from_dcm
 from nav.types import GnssFix, ImuSample, OdoSample, Sample, Vector
 
-EPOCH_S: Final = 3.0
-GAP_S: Final = (0.4, 0.8)  # mean pause between epochs, and how far pauses are spread
+EPOCH_S: Final = 4.0
 START_SPEED: Final = 50.0  # m/s
 PLACE: Final = 5.0  # m: what rolled before the first whole interval of the odometer
 FLOOR: Final = 0.002  # m, of an epoch
@@ -80,7 +64,6 @@ _EYE: Final = np.eye(3)
 _ZERO: Final = np.zeros(3)
 _DF, _DR, _DU = slice(3, 6), slice(6, 9), slice(9, 12)
 _DD: Final = slice(12, 15)
-_SQUARE: Final = (1.0 / 12.0 - 0.5 / math.pi**2) * EPOCH_S**2  # mean square of the seconds in an epoch
 
 
 class Ride(NamedTuple):
@@ -89,7 +72,7 @@ class Ride(NamedTuple):
     config: AlignConfig
     hold: Held
     axes: Vector  # (3, 3) columns: right, forward, up of the vehicle in b
-    place: tuple[float, float, float] | None  # at the beginning
+    place: Place | None  # at the beginning
     sigma_p: Vector
     waited: float = 0.0
     track: Tracker | None = None
@@ -97,14 +80,13 @@ class Ride(NamedTuple):
     pending: tuple[OdoSample, ...] = ()
     book: Book | None = None
     stiffness: Vector = _EYE  # 1/s^2, change of gravity with displacement
-    over: Vector = _ZERO  # displacement at the last epoch
+    over: Vector = _ZERO  # displacement at the last epoch's row, and at the next's
+    over_next: Vector = _ZERO
     moved: Vector = _ZERO  # rad, east-north-up has turned since by moving over the Earth
-    middle: Vector | None = None
-    over_middle: Vector = _ZERO
-    window: Window | None = None
+    pair: Pair | None = None  # the open epochs
     solved: Solved | None = None
     status: AlignStatus | None = None
-    now: tuple[float, float, float] = (0.0, 0.0, 0.0)  # place at the last epoch
+    now: Place = (0.0, 0.0, 0.0)  # place at the last epoch
     t_ns: int = 0
 
 
@@ -114,78 +96,45 @@ def init(config: AlignConfig, given: NavInit | None) -> Ride:
     return Ride(config, held(), axes, config.position, np.full(3, config.sigma_position))
 
 
-def _duration(config: AlignConfig) -> float:
-    return config.coarse_s + config.fine_s
+def _aid(state: Ride, sample: Sample) -> Taken[Ride]:
+    """An odometer sample; a position may come from GNSS."""
+    if isinstance(sample, GnssFix) and state.place is None:
+        # the attitude is not known: the lever arm is part of the position's error
+        sigma = np.hypot(sample.sigma_position, float(np.linalg.norm(state.config.gnss_lever_arm)))
+        state = state._replace(place=(sample.lat, sample.lon, sample.height), sigma_p=sigma)
+    if isinstance(sample, OdoSample) and state.track is not None:
+        return _roll(state._replace(pending=(*state.pending, sample)), state.track)
+    return state, None
 
 
-def _blank(config: AlignConfig, place: tuple[float, float, float] | None) -> AlignStatus:
-    lat, height = (place[0], place[2]) if place is not None else (0.8, 0.0)
-    limit = limits(config, lat, height, _duration(config))
-    return AlignStatus(None, np.diag([1.0, 1.0, math.pi**2]), limit, 0.0, False)
-
-
-def _begin(state: Ride, sample: ImuSample) -> tuple[Ride, str | None]:
+def _begin(state: Ride, sample: ImuSample) -> Taken[Ride]:
     config, place = state.config, state.place
     if place is None:
         waited = state.waited + sample.dt
-        reason = None
-        if waited > PATIENCE_S:
-            reason = "no position: no GNSS fix came and the configuration gives none"
-        return state._replace(waited=waited, status=_blank(config, None)), reason
+        return state._replace(waited=waited), without_place(waited)
     t_ns = sample.t_ns - round(sample.dt * 1e9)
     track = tracker(t_ns)
     sigma = UNMOUNTED if config.C_vb is None else config.sigma_mounting
     wheel = np.array([config.odometer_scale, sigma, sigma])
-    estimate = constant.begin(config, START_SPEED, PLACE, wheel)
-    zero = _ZERO
-    row = track.row.copy()
+    zero, row = _ZERO, track.row.copy()
     state = state._replace(
         track=track,
         reckoning=Reckoning(row, t_ns, zero, zero, zero, zero, zero, zero, zero, zero),
-        book=Book(estimate, row),
+        book=Book(constant.begin(config, START_SPEED, PLACE, wheel), row),
         stiffness=gravity_change(place[0], place[2]),
-        status=_blank(config, place),
-        now=imu_place(np.array(place), _ZERO),  # there and back: compiled now, not at the first epoch
+        status=blank(config, place),
+        now=imu_place(place, _ZERO),  # there and back: compiled now, not at the first epoch
     )
-    return state, poor_gyros(config, place[0], _duration(config))
+    return state, poor_gyros(config, place[0], duration(config))
 
 
-def step(state: Ride, sample: Sample) -> tuple[Ride, AlignStatus]:
-    """Work in inertial and odometer samples; a position may come from GNSS."""
-    reason = None
-    if isinstance(sample, GnssFix):
-        if state.place is None:
-            # the attitude is not known: the lever arm is part of the position's error
-            sigma = np.hypot(sample.sigma_position, float(np.linalg.norm(state.config.gnss_lever_arm)))
-            state = state._replace(place=(sample.lat, sample.lon, sample.height), sigma_p=sigma)
-    elif isinstance(sample, OdoSample):
-        if state.track is not None:
-            state = state._replace(pending=(*state.pending, sample))
-            state, reason = _roll(state)
-    elif isinstance(sample, ImuSample):
-        reason = watch.fault(sample) or stuck(state.hold, sample.dv, sample.dt)
-        if reason is None and state.track is None:
-            state, reason = _begin(state, sample)
-        if reason is None and state.track is not None:
-            state, reason = _add(state, state.track, sample)
-    status = state.status
-    if status is None:
-        status = _blank(state.config, None)
-    if reason is not None:
-        return state, status._replace(done=False, refusal=reason)
-    if status.estimate is None or status.done or state.track is None or state.book is None:
-        return state, status
-    q_gb = present(state.track, state.book.row, status.estimate, earth_rate_g(state.now[0]), state.moved)
-    return state, AlignStatus(q_gb, status.covariance, status.limit, status.progress, False)
-
-
-def _add(state: Ride, track: Tracker, sample: ImuSample) -> tuple[Ride, str | None]:
+def _take(state: Ride, track: Tracker, sample: ImuSample) -> Taken[Ride]:
     ahead = float(track.row[A_T] + track.waiting[1]) + sample.dt
-    end = ahead > _duration(state.config) - 1e-6
+    end = ahead > duration(state.config) - 1e-6
     add(*track, sample.dtheta, sample.dv, sample.dt, sample.t_ns, end)
     reason = None
     if state.pending:
-        state, reason = _roll(state)
+        state, reason = _roll(state, track)
     assert state.reckoning is not None
     if sample.t_ns - state.reckoning.t_ns > LOST_S * 1e9:
         reason = reason or "no odometer samples"
@@ -194,23 +143,17 @@ def _add(state: Ride, track: Tracker, sample: ImuSample) -> tuple[Ride, str | No
     return state, reason
 
 
-def _roll(state: Ride) -> tuple[Ride, str | None]:
+def _roll(state: Ride, track: Tracker) -> Taken[Ride]:
     """Work in the odometer samples whose time the inertial ones have reached."""
-    pending, reason, track = state.pending, None, state.track
-    assert track is not None
-    while pending and reason is None:
-        row = at(track, pending[0].t_ns)
-        if row is None:
-            if pending[0].t_ns <= int(track.times[0]):
-                pending = pending[1:]  # from before the beginning
-                continue
-            break
-        state, reason = _reckon(state, row, pending[0])
-        pending = pending[1:]
+    reason = None
+    found, pending = due(track, state.pending, lambda _: 0)
+    while found is not None and reason is None:
+        state, reason = _reckon(state, *found)
+        found, pending = due(track, pending, lambda _: 0)
     return state._replace(pending=pending), reason
 
 
-def _reckon(state: Ride, row: Vector, sample: OdoSample) -> tuple[Ride, str | None]:
+def _reckon(state: Ride, row: Vector, sample: OdoSample) -> Taken[Ride]:
     """Go on by one odometer sample."""
     old, config, book = state.reckoning, state.config, state.book
     assert old is not None
@@ -236,17 +179,16 @@ def _reckon(state: Ride, row: Vector, sample: OdoSample) -> tuple[Ride, str | No
     new = Reckoning(row, sample.t_ns, ahead, right, up, imu, area, over, drop, fall)
     moved = transport(state.now, level.T @ (over - state.over))
     state = state._replace(reckoning=new, moved=moved)
-    frame, t = state.window, float(row[A_T])
-    if frame is None:
-        begin = t + spread(book.taken, *GAP_S)
-        return state._replace(window=window(begin, EPOCH_S, 15), middle=None), None
-    values = np.concatenate([row[A_P : A_P + 3] - imu - fall, ahead, right, up, area])
-    weigh(frame.sums, frame.begin, frame.length, t, values)
-    if state.middle is None and t >= frame.middle:
-        state = state._replace(middle=row, over_middle=over)
-    if t < frame.begin + frame.length or state.middle is None:
+    open_, t = state.pair, float(row[A_T])
+    if open_ is None:
+        return state._replace(pair=pair(row, EPOCH_S, 15), over_next=over), None
+    fill(open_, t, np.concatenate([row[A_P : A_P + 3] - imu - fall, ahead, right, up, area]))
+    if t < open_.newer.middle:
         return state, None
-    return _close(state, state.middle, frame)
+    open_, mean = close(open_, row)
+    before = state.over_next
+    state = state._replace(pair=open_, over_next=over)
+    return (state, None) if mean is None else _epoch(state._replace(over=before), mean)
 
 
 def _frame(state: Ride, row: Vector) -> tuple[Vector, Vector]:
@@ -260,57 +202,47 @@ def _frame(state: Ride, row: Vector) -> tuple[Vector, Vector]:
     return C_b0i0 @ polar_axis(lat), C_b0i0 @ C_i0g(lat, lat, 0.0, float(row[A_T]))
 
 
-def _close(state: Ride, row: Vector, frame: Window) -> tuple[Ride, str | None]:
-    """An epoch: mean displacement beyond what was rolled, against gravity's."""
+def _epoch(state: Ride, mean: Mean) -> Taken[Ride]:
+    """Mean displacement beyond what was rolled, against gravity's."""
     config, book, place = state.config, state.book, state.place
     assert book is not None
     assert place is not None
     lat, _, height = place
-    seconds = float(row[A_T])
-    early, square, mean = frame.mean()
-    offset = frame.middle - seconds
-    early += offset
-    square += offset * (2.0 * early - offset)
-    once, twice = gravity_integrals(lat, height, seconds)
-    g_i0 = C_i0g(lat, lat, 0.0, seconds) @ gravity_g(lat, height)
-    further = -EARTH_RATE * cross_matrix(mean[_DD])
-    H = constant.design(twice + once * early - 0.5 * square * g_i0, further, polar_axis(lat))
-    H[:, POS], H[:, VEL], H[:, OFFSET] = -_EYE, -early * _EYE, _EYE
-    H[:, START] = -(seconds + early) * _EYE
-    wheel = np.stack([mean[_DF], mean[_DR], mean[_DU]], axis=1)
+    further = -EARTH_RATE * cross_matrix(mean.values[_DD])
+    H, seconds, curved = against_gravity(mean, lat, height, further, polar_axis(lat))
+    wheel = np.stack([mean.values[_DF], mean.values[_DR], mean.values[_DU]], axis=1)
     H[:, WHEEL] = wheel
-    z = mean[0:3]
-    seconds += early
-    # smooth but for ticks and slip: epochs are equally long, and scale and mounting are taken off
-    curved = 0.5 * (square - _SQUARE) / seconds
-    bare = z - curved * row[A_V : A_V + 3] - wheel @ book.estimate.x[WHEEL]
-    across = attitude(row) @ state.axes[:, [0, 2]] * config.slip
+    z = mean.values[0:3]
+    # smooth but for ticks and slip: scale and mounting are taken off
+    bare = z - curved - wheel @ book.estimate.x[WHEEL]
+    across = attitude(mean.row) @ state.axes[:, [0, 2]] * config.slip
     walk = SLIP_S * across @ across.T
-    book, moved = take(book, config, row, seconds, bare, H, z, walk, FLOOR)
-    state = state._replace(book=book, window=None, over=state.over_middle)
+    book, moved = take(book, config, mean.row, seconds, bare, H, z, walk, FLOOR)
+    state = state._replace(book=book)
     if moved > SLIPPED:
         return state, f"wheel slip: the odometer is {moved:.1f} m off what the accelerometers say"
     if not book.settled:
-        return _progressing(state, seconds), None
+        return _waiting(state), None
     return _solve(state, False)
 
 
-def _progressing(state: Ride, seconds: float) -> Ride:
+def _waiting(state: Ride) -> Ride:
+    assert state.book is not None
     assert state.status is not None
-    progress = min(1.0, seconds / _duration(state.config))
-    return state._replace(status=state.status._replace(progress=progress))
+    part = progress(state.config, float(state.book.row[A_T]))
+    return state._replace(status=state.status._replace(progress=part))
 
 
-def _end(state: Ride, row: Vector) -> tuple[Ride, str | None]:
+def _end(state: Ride, row: Vector) -> Taken[Ride]:
     """Bring the last epoch's estimate to the last sample."""
     assert state.book is not None
     if not state.book.settled:
-        return state, f"{_duration(state.config):.0f} s are too short to tell ticks from gravity"
+        return state, f"{duration(state.config):.0f} s are too short to tell ticks from gravity"
     book = bring(state.book, state.config, row, np.zeros((3, 3)))
     return _solve(state._replace(book=book), True)
 
 
-def _solve(state: Ride, done: bool) -> tuple[Ride, str | None]:
+def _solve(state: Ride, done: bool) -> Taken[Ride]:
     book, place, old = state.book, state.place, state.status
     assert book is not None
     assert place is not None
@@ -319,13 +251,13 @@ def _solve(state: Ride, done: bool) -> tuple[Ride, str | None]:
     solved = constant.attitude_of_all(book.estimate)
     if solved is None:
         reason = f"{float(row[A_T]):.0f} s do not tell north on this road" if done else None
-        return _progressing(state, float(row[A_T])), reason
+        return _waiting(state), reason
     state = state._replace(solved=solved)
     now = _place(state, row)
     since = math.remainder(now[1] - place[1], 2.0 * math.pi)
     C_gb, P_phi = attitude_now(solved, row, place[0], now[0], since)
-    progress = min(1.0, float(row[A_T]) / _duration(state.config))
-    status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, progress, done)
+    part = progress(state.config, float(row[A_T]))
+    status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, part, done)
     reason = contradiction(book.estimate, solved, place[0])
     return state._replace(status=status, now=now), reason
 
@@ -346,7 +278,7 @@ def _went(state: Ride, row: Vector) -> Vector:
     return np.asarray((solved.C @ C_i0g(lat, lat, 0.0, seconds)).T @ over)
 
 
-def _place(state: Ride, row: Vector) -> tuple[float, float, float]:
+def _place(state: Ride, row: Vector) -> Place:
     assert state.place is not None
     lat, lon, height = state.place
     r_e = ecef(lat, lon, height) + position_matrix(lat, lon) @ _went(state, row)
@@ -377,7 +309,12 @@ def finish(state: Ride) -> NavInit:
     # scale, mounting and heading turn or stretch all that was rolled
     spread2 = np.diag(solved.P)[WHEEL.start - 6 : WHEEL.stop - 6].sum() + state.status.covariance[2, 2]
     sigma_p = np.hypot(state.sigma_p, gone * math.sqrt(float(spread2)))
-    return hand_over(config, solved, row, state.t_ns, state.place, state.now, sigma_p, v_b0, once)
+    return handed(config, solved, row, state.t_ns, state.place, state.now, sigma_p, v_b0, once)
 
 
-ODOMETER: Final = Stage(init=init, step=step, finish=finish)
+def _since(state: Ride) -> tuple[Vector, Vector, Vector]:
+    assert state.book is not None
+    return state.book.row, earth_rate_g(state.now[0]), state.moved
+
+
+ODOMETER: Final = Stage(init, stepping(_aid, _begin, _take, _since), finish)
