@@ -9,7 +9,8 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from nav.types import Sample, Vector
+from nav.align.sensors import Sensors, against, sensors
+from nav.types import ImuSample, Sample, Vector
 
 
 class AlignStatus(NamedTuple):
@@ -152,10 +153,11 @@ class Alignment:
 
 
 class Run(NamedTuple):
-    """An alignment under way: which stage, its state, and how often it had to start again."""
+    """An alignment under way: the watch over sensors, which stage, its state, how often it began again."""
 
     alignment: Alignment
     config: AlignConfig
+    watched: Sensors
     stage: int
     state: Any
     restarts: int = 0
@@ -177,24 +179,28 @@ def lack(alignment: Alignment, kinds: Collection[str], config: AlignConfig) -> s
 
 def begin(alignment: Alignment, config: AlignConfig) -> Run:
     """Start an alignment."""
-    return Run(alignment, config, 0, alignment.stages[0].init(config, None))
+    watched = sensors(config.gyro_bias, config.accel_bias)
+    return Run(alignment, config, watched, 0, alignment.stages[0].init(config, None))
 
 
 def advance(run: Run, sample: Sample) -> tuple[Run, AlignStatus]:
     """Give an alignment its next sample, in the order of arrival.
 
-    A stage that refuses sends the alignment back to its first stage; the status carries the reason once.
-    ``done`` is the whole alignment's; after it call `result`.
+    A stage that refuses, or a sensor that is stuck or wild, sends the alignment back to its first stage; the
+    status carries the reason once. ``done`` is the whole alignment's; after it call `result`.
     """
     stages = run.alignment.stages
+    wrong = against(run.watched, sample) if isinstance(sample, ImuSample) else None
     state, status = stages[run.stage].step(run.state, sample)
+    if wrong is not None:
+        status = status._replace(done=False, refusal=wrong)
     progress = (run.stage + min(1.0, status.progress)) / len(stages)
     if status.refusal is not None:
         state = stages[0].init(run.config, None)
-        return Run(run.alignment, run.config, 0, state, run.restarts + 1), status._replace(progress=0.0)
+        return run._replace(stage=0, state=state, restarts=run.restarts + 1), status._replace(progress=0.0)
     if not status.done:
         # for nearly every sample: written out, which is faster than replacing by name
-        run = Run(run.alignment, run.config, run.stage, state, run.restarts)
+        run = Run(run.alignment, run.config, run.watched, run.stage, state, run.restarts)
         estimate, covariance, limit, _, _, _, behind = status
         return run, AlignStatus(estimate, covariance, limit, progress, False, None, behind)
     if run.stage + 1 == len(stages):

@@ -9,11 +9,24 @@ from functools import cache
 
 import numpy as np
 
+from bridge.studies.alignment_truth import (
+    HEIGHT,
+    LAT,
+    LON,
+    TICK,
+    Base,
+    drive,
+    fixes,
+    merged,
+    road,
+    sensed,
+    ticks,
+    times,
+)
 from nav.align import AlignConfig
 from nav.rotation import dcm_from_quat, euler_from_dcm
 from nav.types import Sample, Vector
-from tests.nav.align.driving import TICK, drive, fixes, merged, road, ticks, times
-from tests.nav.align.swaying import DEG_PER_H, HEIGHT, LAT, LON, Base, G, sensed
+from tests.nav.align import making
 
 DT = 0.1
 ALIGN_S = 180.0
@@ -21,15 +34,7 @@ ROAD_S = 300.0
 IMU = np.array([0.3, 1.2, 0.8])  # m from the rear axle
 
 # navigation grade: 0.007 deg/h, 0.0005 deg/sqrt(h), 50 ug, 10 ug/sqrt(Hz)
-GRADE = AlignConfig(
-    gyro_bias=0.007 * DEG_PER_H,
-    accel_bias=5e-5 * G,
-    angle_random_walk=math.radians(0.0005) / 60.0,
-    velocity_random_walk=1e-5 * G,
-    coarse_s=60.0,
-    fine_s=ALIGN_S - 60.0,
-    position=(LAT, LON, HEIGHT),
-)
+GRADE = replace(making.GRADE, fine_s=ALIGN_S - 60.0)
 
 
 @dataclass(frozen=True)
@@ -128,8 +133,8 @@ def consumer(seed: int) -> Scene:
 
 
 def _inertial(rng, config: AlignConfig, dtheta, dv, begin_ns: int, dt: float = DT) -> list[Sample]:
-    samples, _, _ = sensed(rng, config, dtheta, dv, dt)
-    return [s._replace(t_ns=s.t_ns + begin_ns) for s in samples]
+    samples, _, _ = sensed(rng, config, dtheta, dv, dt, start_ns=begin_ns)
+    return list(samples)
 
 
 def _truth(trajectory) -> Callable[[float], Vector]:

@@ -181,7 +181,7 @@ def fix(t_ns, v=0.0):
     [
         (lambda s, t: s._replace(dv=s.dv + np.array([0.02, 0.0, 0.0])) if t > 70.0 else s, "pushed"),
         (lambda s, t: s._replace(dtheta=s.dtheta + np.array([0.0, 0.0, 1e-3])) if t > 70.0 else s, "turned"),
-        (lambda s, t: s._replace(dv=s.dv * [0.0, 1.0, 1.0]) if t > 45.0 else s, "accelerometer x is stuck"),
+        (lambda s, t: s._replace(dv=s.dv * [0.0, 1.0, 1.0]) if t > 45.0 else s, "is stuck"),
         (lambda s, t: s._replace(dv=s.dv * [1.0, 1.0, 0.0]), "stuck"),
         (lambda s, t: s._replace(dv=s.dv + np.array([0.0, 0.0, 0.5 * DT])), "specific force"),
         (lambda s, t: s._replace(flags=int(ImuFlag.GAP)) if t > 70.0 else s, "missing"),

@@ -107,9 +107,11 @@ def test_refusals_name_their_cause():
     def instead(k, sample):
         return [*samples[:k], sample, *samples[k + 1 :]]
 
-    assert "pushed" in first(
-        instead(120, samples[120]._replace(dv=samples[120].dv + np.array([0.2, 0.0, 0.0])))
-    )
+    push = np.array([0.1, 0.0, 0.0])
+    pushed = [s._replace(dv=s.dv + push) if k in (120, 121) else s for k, s in enumerate(samples)]
+    assert "pushed" in first(pushed)
+    wild = samples[120]._replace(dv=samples[120].dv + 2.0 * push)
+    assert "right accelerometer is wild" in first(instead(120, wild))
     assert "missing" in first(instead(50, samples[50]._replace(flags=ImuFlag.GAP)))
     assert "rolls" in first(instead(40, OdoSample(samples[39].t_ns, 0.1, 0.5, False, "odometer")))
     far_off = dataclasses.replace(GRADE, position=(math.radians(20.0), LON, HEIGHT))
