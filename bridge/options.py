@@ -130,7 +130,7 @@ class AlignOptions(Table):
     heading_deg: Positive = 2.0
     window_s: Positive = 40.0
     store_s: Positive = 900.0
-    replay_samples: Annotated[int, Meta(ge=64, le=1000)] = 64
+    replay_samples: Annotated[int, Meta(ge=2, le=1000)] = 64
     known_heading_deg: float | None = None
     known_heading_sigma_deg: Positive = 1.0
     known_attitude_deg: Three | None = None

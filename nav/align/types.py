@@ -85,7 +85,7 @@ class AlignConfig:
     for levelling when the vehicle grants it. ``slope`` rad: standard deviation of the ground's inclination
     where the vehicle stands at first.
 
-    ``store_s`` bounds the samples kept for going over them again, ``replay_samples`` (64 or more) how many of
+    ``store_s`` bounds the samples kept for going over them again, ``replay_samples`` how many of
     them one step may work off. ``heading`` (rad, and its sigma, rad) of the vehicle's forward axis and
     ``attitude`` (q_gb (4,), and sigma (3,) rad about east, north, up) are what is known from outside: a
     stored heading, another system's attitude.
