@@ -100,7 +100,7 @@ def contradiction(e: constant.Estimate, solved: Solved, lat: float) -> str | Non
     """What the nine elements contradict, in words, or None: the latitude, gravity, or the base's rest."""
     if solved.misfit <= constant.MISFIT:
         return None
-    M = e.x[constant.MAT].reshape(3, 3)
+    M = constant.unshrunk(e, solved.C)[constant.MAT].reshape(3, 3)
     up, east = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     out = []
     for u in (up, east):

@@ -7,7 +7,6 @@ from typing import Final, Protocol, TypeVar
 
 from nav.align import still as watch
 from nav.align.apparent import Tracker, at, present
-from nav.align.disturbance import Held, stuck
 from nav.align.handover import Place
 from nav.align.static import PATIENCE_S, UNKNOWN, limits
 from nav.align.types import AlignConfig, AlignStatus
@@ -22,10 +21,6 @@ class Tracked(Protocol):
     @property
     def config(self) -> AlignConfig:
         """What is known of sensors and place."""
-
-    @property
-    def hold(self) -> Held:
-        """How long each accelerometer has said the same."""
 
     @property
     def track(self) -> Tracker | None:
@@ -65,7 +60,7 @@ def stepping(
     def step(state: State, sample: Sample) -> tuple[State, AlignStatus]:
         """Take any sample."""
         if isinstance(sample, ImuSample):
-            reason = watch.fault(sample) or stuck(state.hold, sample.dv, sample.dt)
+            reason = watch.fault(sample)
             if reason is None and state.track is None:
                 state, reason = begin(state, sample)
             if reason is None and state.track is not None:

@@ -34,6 +34,7 @@ START: Final = slice(24, 27)  # m/s, velocity over the Earth at the beginning, i
 OFFSET: Final = slice(27, 30)  # m, in b0: place at the beginning, what a reference wanders off
 WHEEL: Final = slice(30, 33)  # 1, rad, rad: odometer scale, mounting in heading and in pitch
 SIZE: Final = 33
+FREE: Final = 1.0 / 3.0  # variance of an element of any rotation
 MISFIT: Final = 60.0  # chi-square of six degrees of freedom that no run of the mill data reach
 UNKNOWN: Final = 0.2  # rad: less is known of the rotation than its covariance can say
 _EYE: Final = np.eye(3)
@@ -41,16 +42,21 @@ _CROSS: Final = skew(_EYE)  # [e_k x]
 
 
 class Estimate(NamedTuple):
-    """State (SIZE,) and covariance of the filter."""
+    """State (SIZE,) and covariance of the filter.
+
+    ``feigned`` (9, 9) is what of their information about the elements is none: that they are zero. The filter
+    begins with it, and noise in a vector that they multiply adds to it, epoch by epoch.
+    """
 
     x: Vector
     P: Vector
+    feigned: Vector = np.eye(9) / FREE
 
 
 def begin(config: AlignConfig, start: float, offset: float, wheel: Vector) -> Estimate:
     """Nothing known of the rotation; ``start`` m/s, ``offset`` m and ``wheel`` (3,) standard deviations."""
     P = np.zeros(SIZE)
-    P[MAT] = 1.0 / 3.0  # an element of a rotation matrix is that large
+    P[MAT] = FREE
     P[EPS], P[NAB] = config.gyro_bias**2, config.accel_bias**2
     P[START], P[OFFSET] = start**2, offset**2
     P[WHEEL] = wheel**2
@@ -58,10 +64,8 @@ def begin(config: AlignConfig, start: float, offset: float, wheel: Vector) -> Es
     return Estimate(np.zeros(SIZE), np.diag(P))
 
 
-def predict(
-    e: Estimate, c: Change, config: AlignConfig, walk: Vector, forget_s: float = math.inf
-) -> Estimate:
-    """Over a change of the rows; ``walk`` (3, 3) m^2/s drives the offset, which lasts ``forget_s``."""
+def transition(c: Change, forget_s: float = math.inf) -> Vector:
+    """The state after a change of the rows, by that before, (SIZE, SIZE); the offset lasts ``forget_s``."""
     F = np.eye(SIZE)
     force = cross_matrix(c.dv)
     F[THETA, EPS] = -c.A
@@ -69,6 +73,14 @@ def predict(
     F[POS, VEL], F[POS, THETA] = _EYE * c.dt, -cross_matrix(c.dp)
     F[POS, EPS], F[POS, NAB] = c.D, -c.E
     F[OFFSET, OFFSET] *= math.exp(-c.dt / forget_s)
+    return F
+
+
+def predict(
+    e: Estimate, c: Change, config: AlignConfig, walk: Vector, forget_s: float = math.inf
+) -> Estimate:
+    """Over a change of the rows; ``walk`` (3, 3) m^2/s drives the offset, which lasts ``forget_s``."""
+    F, force = transition(c, forget_s), cross_matrix(c.dv)
     Q = np.zeros((SIZE, SIZE))
     turn, push = config.angle_random_walk**2 * c.dt, config.velocity_random_walk**2 * c.dt
     Q[THETA, THETA] = turn * _EYE
@@ -79,7 +91,7 @@ def predict(
     Q[POS, VEL] = Q[VEL, POS] = 0.5 * push * c.dt * _EYE
     Q[POS, POS] = push * c.dt**2 / 3.0 * _EYE
     Q[OFFSET, OFFSET] = walk * c.dt
-    return Estimate(F @ e.x, F @ e.P @ F.T + Q)
+    return Estimate(F @ e.x, F @ e.P @ F.T + Q, e.feigned)
 
 
 def design(u: Vector, further: Vector | None = None, axis: Vector | None = None) -> Vector:
@@ -109,13 +121,18 @@ def innovation(e: Estimate, H: Vector, z: Vector, R: Vector) -> Innovation:
     return Innovation(z - H @ e.x, H @ e.P @ H.T + R)
 
 
-def update(e: Estimate, H: Vector, z: Vector, R: Vector) -> Estimate:
-    """Take the epoch into the estimate. Joseph's form: positions are large against what they tell."""
+def update(e: Estimate, H: Vector, z: Vector, R: Vector, noise: Vector | None = None) -> Estimate:
+    """Take the epoch into the estimate. Joseph's form: positions are large against what they tell.
+
+    ``noise`` (3, 3): covariance in i0 of the vector in ``H``, where R is due to that. The squares of such
+    noise look as if the elements had been seen to be smaller.
+    """
     nu, S = innovation(e, H, z, R)
     K = np.linalg.solve(S, H @ e.P).T
     keep = np.eye(SIZE) - K @ H
     P = keep @ e.P @ keep.T + K @ R @ K.T
-    return Estimate(e.x + K @ nu, 0.5 * (P + P.T))
+    feigned = e.feigned if noise is None else e.feigned + np.kron(np.linalg.inv(R), noise)
+    return Estimate(e.x + K @ nu, 0.5 * (P + P.T), feigned)
 
 
 class Solved(NamedTuple):
@@ -152,41 +169,64 @@ def _q_method(B: Vector) -> Vector:
 def attitude_of_all(e: Estimate) -> Solved | None:
     """Wahba's problem with all the data: the rotation nearest to the nine elements, by their covariance.
 
-    The weights are the inverse covariance that sensor noise, biases and disturbances give the elements. The
-    q-method solves it with the mean of them over the axes of b0, which is exact where nothing prefers an
-    axis; a few Gauss-Newton steps put in what differs. None while it is not known to `UNKNOWN`.
+    The weights are the inverse covariance that sensor noise, biases and disturbances give the elements, less
+    what is feigned. The q-method solves it with the mean of them over the axes of b0, which is exact where
+    nothing prefers an axis; a few Gauss-Newton steps put in what differs. None while it is not known to
+    `UNKNOWN`.
     """
     try:
         weight = np.linalg.inv(e.P[MAT, MAT])
     except np.linalg.LinAlgError:
         return None
-    m = e.x[MAT]
+    m, true = e.x[MAT], weight - e.feigned
+    told = weight @ m
     C = _q_method(m.reshape(3, 3) @ np.einsum("iaib->ab", weight.reshape(3, 3, 3, 3)))
     for _ in range(6):
         J = _by_elements(C)
-        A = J.T @ weight @ J
-        psi = np.asarray(np.linalg.solve(A, J.T @ weight @ (m - C.ravel())), np.float64)
+        A = J.T @ true @ J
+        if float(np.linalg.eigvalsh(A)[0]) <= 1.0 / UNKNOWN**2:
+            return None
+        psi = np.asarray(np.linalg.solve(A, J.T @ (told - true @ C.ravel())), np.float64)
         C = _turned(C, psi)
         if float(np.abs(psi).max()) < 1e-10:
             break
     J = _by_elements(C)
-    sigma = np.asarray(np.linalg.inv(J.T @ weight @ J), np.float64)
-    miss = m - C.ravel()
-    gain = e.P[:, MAT] @ weight
-    spread = gain @ J
-    x = e.x - gain @ miss
-    rest = e.P - gain @ e.P[MAT, :] + spread @ sigma @ spread.T
+    sigma = np.asarray(np.linalg.inv(J.T @ true @ J), np.float64)
     if float(np.trace(sigma)) > UNKNOWN**2:
         return None
-    return _joint(C, x, sigma, sigma @ spread[9:].T, rest, float(miss @ weight @ miss))
+    gain = e.P[:, MAT] @ weight
+    spread = gain @ J
+    x = e.x - gain @ (m - C.ravel())
+    rest = e.P - gain @ e.P[MAT, :] + spread @ sigma @ spread.T
+    misfit = _misfit(told - true @ C.ravel(), true, e.feigned)
+    return _joint(C, x, sigma, sigma @ spread[9:].T, rest, misfit)
+
+
+def _misfit(off: Vector, true: Vector, feigned: Vector) -> float:
+    """Chi-square of what the elements miss a rotation by, of those that are told by more than noise."""
+    size, axes = np.linalg.eigh(true)
+    false = np.einsum("ik,ij,jk->k", axes, feigned, axes)
+    square = (axes.T @ off) ** 2 / (np.abs(size) + 2.0 * false)  # squares of noise scatter too
+    return float(np.sum(square[size > false]))
+
+
+def unshrunk(e: Estimate, C: Vector) -> Vector:
+    """The state, had what is feigned been that the elements are those of ``C`` (3, 3) instead of zero.
+
+    Elements that data leave open are too small without.
+    """
+    return np.asarray(e.x + e.P[:, MAT] @ e.feigned @ C.ravel())
 
 
 def two_vectors(e: Estimate, u_l: Vector, u_m: Vector) -> Solved | None:
     """Eq. (3-22): the rotation from the images of two vectors (3,) of i0, of which ``u_m`` counts fully."""
-    M = e.x[MAT].reshape(3, 3)
     found = attitude_of_all(e)
+    if found is None:
+        return None
+    x = unshrunk(e, found.C)
+    M = x[MAT].reshape(3, 3)
     v_l, v_m = M @ u_l, M @ u_m
-    if found is None or float(np.linalg.norm(np.cross(v_m, v_l))) < 1e-12:
+    if float(np.linalg.norm(np.cross(v_m, v_l))) < 1e-12:
         return None
     C = _frame(v_m, v_l) @ _frame(u_m, u_l).T
     # psi of a small change of the images: v_m turns by two components, v_l gives the third
@@ -204,7 +244,7 @@ def two_vectors(e: Estimate, u_l: Vector, u_m: Vector) -> Solved | None:
     sigma = G @ e.P[MAT, MAT] @ G.T
     if float(np.trace(sigma)) > UNKNOWN**2:
         return None
-    return _joint(C, e.x, sigma, cross, e.P, found.misfit)
+    return _joint(C, x, sigma, cross, e.P, found.misfit)
 
 
 def _frame(first: Vector, second: Vector) -> Vector:

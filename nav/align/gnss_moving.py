@@ -32,16 +32,16 @@ from nav.align.apparent import (
     tracker,
     turn,
 )
+from nav.align.apparent_rest import Rest, standing, stopped
 from nav.align.apparent_result import attitude_now, contradiction, handed, poor_gyros, velocity_now
 from nav.align.apparent_stage import Taken, blank, due, duration, progress, stepping, without_place
 from nav.align.constant import OFFSET, POS, START, VEL, WHEEL, Estimate, Solved
-from nav.align.disturbance import Held, held
 from nav.align.epochs import SETTLE_S
 from nav.align.handover import Place, imu_place
 from nav.align.static import PATIENCE_S
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import earth_rate_g, position_matrix, radii, transport_rate_g
-from nav.rotation import quat_from_dcm, rotvec_from_quat
+from nav.rotation import quat_from_dcm
 from nav.types import FixType, GnssFix, ImuSample, OdoSample, Sample, Vector
 
 START_SPEED: Final = 100.0  # m/s
@@ -49,31 +49,15 @@ SPACING_S: Final = 0.45  # fixes that come sooner tell little more
 LASTS_S: Final = 200.0  # s that the slow error of GNSS positions lasts
 ODD: Final = 30.0  # chi-square of three degrees of freedom of an epoch that is left out
 MOST_ODD: Final = 5  # such epochs in a row
-QUIET_RATE: Final = math.radians(0.1)  # rad/s
-QUIET_FORCE: Final = 0.03  # m/s^2, change from epoch to epoch
-QUIET_S: Final = 2.5  # s of both before it may be a stop
-CREEP: Final = 0.1  # m/s that a velocity may show at rest
-CREPT: Final = 1.0  # m that positions may go in a stop
-REST: Final = 0.003  # m/s, of a stop
 LEVER_S: Final = 0.04  # s over which the antenna's swing is taken
 _EYE: Final = np.eye(3)
 _ZERO: Final = np.zeros(3)
-
-
-class Rest(NamedTuple):
-    """What tells a stop: since when inertial sensors are quiet, and where that was."""
-
-    force: Vector = _ZERO  # of the last epoch, m/s^2, b
-    since: float = math.inf  # s
-    place: Vector = _ZERO  # m, Earth-fixed axes of the start
-    rolled: float | None = None  # m since the last epoch, where there is an odometer
 
 
 class Drive(NamedTuple):
     """State of the stage."""
 
     config: AlignConfig
-    hold: Held
     fix: GnssFix | None = None  # the last good one
     waited: float = 0.0
     track: Tracker | None = None
@@ -93,7 +77,7 @@ class Drive(NamedTuple):
 
 def init(config: AlignConfig, given: NavInit | None) -> Drive:
     """Begin with nothing known."""
-    return Drive(config, held())
+    return Drive(config)
 
 
 def _begin(state: Drive, sample: ImuSample) -> Taken[Drive]:
@@ -182,42 +166,41 @@ def _epoch(state: Drive, track: Tracker, row: Vector, t_ns: int, fix: GnssFix) -
         if jump is not None:
             return _odd(state, f"GNSS jumped by {jump:.0f} m against its own velocity")
         place = _moved(place, -config.gnss_velocity_age * fix.v_g)
-    path, r = reach(path, *place, seconds)
+    was = path
+    path, r = reach(was, *place, seconds)
     v_i = None
     since = math.remainder(place[1] - path.lon, 2.0 * math.pi)
     if fix.v_g is not None:
         v_i = turn(seconds) @ (position_matrix(place[0], since) @ fix.v_g) + spin(r)
-    e = constant.predict(
-        state.estimate,
-        change(old, row),
-        config,
-        2.0 / LASTS_S * float(fix.sigma_position[0]) ** 2 * _EYE,
-        LASTS_S,
-    )
-    rest, stopped = _stopped(state, old, row, turn(seconds).T @ r, fix)
+    walk = 2.0 / LASTS_S * float(fix.sigma_position[0]) ** 2 * _EYE
+    e = constant.predict(state.estimate, change(old, row), config, walk, LASTS_S)
+    settled = seconds > SETTLE_S
+    rest, quiet = stopped(state.rest, old, row, turn(seconds).T @ r, fix)
+    if quiet:
+        H, z, R = standing(rest, config, old, row, was, path, r)
+        quiet = not settled or constant.innovation(e, H, z, R).chi2 < ODD
+        if quiet:
+            e = constant.update(e, H, z, R)
     lever = config.gnss_lever_arm
-    H = np.zeros((3, constant.SIZE))
-    if stopped or v_i is not None:
-        once, _ = felt(path, r, None if stopped else v_i)
+    if v_i is not None:
+        assert fix.sigma_velocity is not None
+        once, _ = felt(path, r, v_i)
         H = constant.design(once)
         H[:, VEL], H[:, START] = -_EYE, -_EYE
-        z = row[A_V : A_V + 3].copy()
-        R = max(config.sway, REST) ** 2 * _EYE
-        if not stopped:
-            assert fix.sigma_velocity is not None
-            z += _swing(track, row, t_ns, lever)
-            R = _round(row, fix.sigma_velocity)
+        z = row[A_V : A_V + 3] + _swing(track, row, t_ns, lever)
+        sigma = fix.sigma_velocity
     else:
         _, twice = felt(path, r, None)
         H = constant.design(twice)
         H[:, POS], H[:, START], H[:, OFFSET], H[:, WHEEL] = -_EYE, -seconds * _EYE, _EYE, _EYE
         z = row[A_P : A_P + 3] + (attitude(row) - _EYE) @ lever
-        R = _round(row, fix.sigma_position)
+        sigma = fix.sigma_position
+    R, noise = _round(row, sigma)
     state = state._replace(path=path, estimate=e, row=row, rest=rest, place=place)
-    if seconds > SETTLE_S and constant.innovation(e, H, z, R).chi2 > ODD:
+    if settled and constant.innovation(e, H, z, R).chi2 > ODD:
         return _odd(state, "GNSS jumped: fixes contradict the accelerometers")
-    state = state._replace(estimate=constant.update(e, H, z, R), fix=fix, odd=0)
-    if seconds < SETTLE_S:
+    state = state._replace(estimate=constant.update(e, H, z, R, noise), fix=fix, odd=0)
+    if not settled:
         assert state.status is not None
         return state._replace(status=state.status._replace(progress=_part(state))), None
     return _solve(state, False)
@@ -253,11 +236,11 @@ def _moved(place: Place, d: Vector) -> Place:
     return place[0] + float(d[1]) / (r_m + place[2]), place[1] + east, place[2] + float(d[2])
 
 
-def _round(row: Vector, sigma: Vector) -> Vector:
-    """Covariance (3, 3) in b0 of an error as large in all level directions."""
+def _round(row: Vector, sigma: Vector) -> tuple[Vector, Vector]:
+    """Covariance (3, 3) in b0 and in i0 of an error as large in all level directions."""
     up = row[A_V : A_V + 3] / np.linalg.norm(row[A_V : A_V + 3])
-    level = float(max(sigma[0], sigma[1])) ** 2
-    return level * _EYE + (float(sigma[2]) ** 2 - level) * np.outer(up, up)
+    level, vertical = float(max(sigma[0], sigma[1])) ** 2, float(sigma[2]) ** 2
+    return level * _EYE + (vertical - level) * np.outer(up, up), np.diag([level, level, vertical])
 
 
 def _swing(track: Tracker, row: Vector, t_ns: int, lever: Vector) -> Vector:
@@ -269,30 +252,6 @@ def _swing(track: Tracker, row: Vector, t_ns: int, lever: Vector) -> Vector:
     if after is None:
         after = row
     return np.asarray((attitude(after) - attitude(before)) @ lever / (after[A_T] - before[A_T]))
-
-
-def _stopped(state: Drive, old: Vector, row: Vector, r_e: Vector, fix: GnssFix) -> tuple[Rest, bool]:
-    """Whether the vehicle has stood since the last epoch, and what is to be remembered for the next."""
-    rest, seconds = state.rest, float(row[A_T])
-    C_old, C = attitude(old), attitude(row)
-    dt = seconds - float(old[A_T])
-    force = C.T @ (row[A_V : A_V + 3] - old[A_V : A_V + 3]) / dt
-    rate = float(np.linalg.norm(rotvec_from_quat(quat_from_dcm(C_old.T @ C)))) / dt
-    steady = seconds < 2.0 * dt or float(np.linalg.norm(force - rest.force)) < QUIET_FORCE
-    quiet = rate < QUIET_RATE and steady
-    rolled = None if rest.rolled is None else 0.0
-    if not quiet:
-        return Rest(force, math.inf, _ZERO, rolled), False
-    begin, place = (rest.since, rest.place) if math.isfinite(rest.since) else (seconds, r_e)
-    new = Rest(force, begin, place, rolled)
-    if rest.rolled is not None:
-        return new, rest.rolled == 0.0
-    if fix.v_g is not None and fix.sigma_velocity is not None:
-        speed = float(np.linalg.norm(fix.v_g[0:2]))
-        return new, speed < CREEP + 3.0 * float(np.max(fix.sigma_velocity[0:2]))
-    gone = float(np.linalg.norm(r_e - place))
-    limit = CREPT + 0.5 * float(np.max(fix.sigma_position[0:2]))
-    return new, seconds - begin > QUIET_S and gone < limit
 
 
 def _part(state: Drive) -> float:

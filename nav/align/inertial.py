@@ -32,7 +32,7 @@ from nav.align.apparent_result import (
 )
 from nav.align.apparent_stage import Taken, blank, duration, progress, stepping, without_place
 from nav.align.constant import START, VEL, Solved
-from nav.align.disturbance import Held, held, spread
+from nav.align.disturbance import spread
 from nav.align.epochs import Book, bring, take
 from nav.align.handover import Place, imu_place
 from nav.align.still import Still
@@ -46,7 +46,7 @@ INSTANT_S: Final = (1.0, 0.8)  # mean pause between instants, and how far pauses
 PUSHED: Final = 0.05  # m or m/s that is no sway
 START_SPEED: Final = 1.0  # m/s, standard deviation of the velocity at the start
 PLACE: Final = 0.2  # m, standard deviation of the displacement at the start
-SWAY_S: Final = 0.05  # displacement over velocity of a sway that no epoch averages out
+SWAY_S: Final = 0.02  # displacement over velocity of a sway that no epoch averages out
 _EYE: Final = np.eye(3)
 _ZERO: Final = np.zeros(3)
 _NONE: Final = np.zeros((3, 3))
@@ -57,7 +57,6 @@ class Sway(NamedTuple):
 
     config: AlignConfig
     still: Still  # what wheels and GNSS say
-    hold: Held
     place: Place = (0.0, 0.0, 0.0)  # rad, rad, m, as known at the beginning
     waited: float = 0.0
     track: Tracker | None = None
@@ -71,7 +70,7 @@ class Sway(NamedTuple):
 
 def init(config: AlignConfig, given: NavInit | None) -> Sway:
     """Begin with nothing known."""
-    return Sway(config, Still(), held())
+    return Sway(config, Still())
 
 
 def _aid(state: Sway, sample: Sample) -> Taken[Sway]:

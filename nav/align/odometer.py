@@ -42,7 +42,6 @@ from nav.align.apparent_epoch import Mean, Pair, against_gravity, close, fill, p
 from nav.align.apparent_result import attitude_now, contradiction, handed, poor_gyros, velocity_now
 from nav.align.apparent_stage import Taken, blank, due, duration, progress, stepping, without_place
 from nav.align.constant import WHEEL, Solved
-from nav.align.disturbance import Held, held
 from nav.align.epochs import Book, bring, take
 from nav.align.handover import Place, imu_place
 from nav.align.level import level_dcm
@@ -70,7 +69,6 @@ class Ride(NamedTuple):
     """State of the stage."""
 
     config: AlignConfig
-    hold: Held
     axes: Vector  # (3, 3) columns: right, forward, up of the vehicle in b
     place: Place | None  # at the beginning
     sigma_p: Vector
@@ -93,7 +91,7 @@ class Ride(NamedTuple):
 def init(config: AlignConfig, given: NavInit | None) -> Ride:
     """Begin with nothing known but the mounting."""
     axes = _EYE if config.C_vb is None else config.C_vb.T
-    return Ride(config, held(), axes, config.position, np.full(3, config.sigma_position))
+    return Ride(config, axes, config.position, np.full(3, config.sigma_position))
 
 
 def _aid(state: Ride, sample: Sample) -> Taken[Ride]:

@@ -45,6 +45,7 @@ GRADE = AlignConfig(
 PERFECT = dataclasses.replace(
     GRADE, gyro_bias=1e-10, accel_bias=1e-7, angle_random_walk=1e-9, velocity_random_walk=1e-8
 )
+NOTHING = np.zeros((9, 9))
 METHODS = ("inertial_single", "inertial", "inertial_wahba")
 
 
@@ -166,14 +167,14 @@ def test_two_vectors_give_the_rotation_and_how_errors_move_it():
     L = rng.standard_normal((con.SIZE, con.SIZE)) * 1e-3
     P = L @ L.T
     u_l, u_m = rng.standard_normal(3), rng.standard_normal(3)
-    solved = con.two_vectors(con.Estimate(x, P), u_l, u_m)
+    solved = con.two_vectors(con.Estimate(x, P, NOTHING), u_l, u_m)
     np.testing.assert_allclose(solved.C, C, atol=1e-14)
     G = np.zeros((3, 9))
     for k in range(9):
         d = np.zeros(con.SIZE)
         d[k] = 1e-6
-        more = con.two_vectors(con.Estimate(x + d, P), u_l, u_m).C
-        less = con.two_vectors(con.Estimate(x - d, P), u_l, u_m).C
+        more = con.two_vectors(con.Estimate(x + d, P, NOTHING), u_l, u_m).C
+        less = con.two_vectors(con.Estimate(x - d, P, NOTHING), u_l, u_m).C
         G[:, k] = rotvec_from_quat(quat_from_dcm(more @ less.T)) / 2e-6
     np.testing.assert_allclose(solved.P[:3, :3], G @ P[:9, :9] @ G.T, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(solved.P[:3, 3:], G @ P[:9, 9:], rtol=1e-6, atol=1e-12)
@@ -186,7 +187,7 @@ def test_equal_weights_along_all_axes_are_wahbas_problem():
     x[con.MAT] += 0.05 * rng.standard_normal(9)
     P = np.eye(con.SIZE)
     P[:9, :9] = np.kron(np.eye(3), np.linalg.inv(A))
-    solved = con.attitude_of_all(con.Estimate(x, P))
+    solved = con.attitude_of_all(con.Estimate(x, P, NOTHING))
     # the singular value solution of Markley
     U, _, Vt = np.linalg.svd(x[con.MAT].reshape(3, 3) @ A)
     best = U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt
@@ -197,10 +198,10 @@ def test_equal_weights_along_all_axes_are_wahbas_problem():
 def test_a_stuck_axis_is_no_rotation():
     rng = np.random.default_rng(6)
     _, x = made(rng)
-    solved = con.attitude_of_all(con.Estimate(x, np.eye(con.SIZE) * 1e-6))
+    solved = con.attitude_of_all(con.Estimate(x, np.eye(con.SIZE) * 1e-6, NOTHING))
     assert solved.misfit < 1e-12
     x[0:3] *= 0.9
-    assert con.attitude_of_all(con.Estimate(x, np.eye(con.SIZE) * 1e-6)).misfit > con.MISFIT
+    assert con.attitude_of_all(con.Estimate(x, np.eye(con.SIZE) * 1e-6, NOTHING)).misfit > con.MISFIT
 
 
 # ---- alignment ----------------------------------------------------------------------------------
