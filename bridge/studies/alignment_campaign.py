@@ -100,12 +100,13 @@ def _consumer(seed: int, dt: float) -> Scene:
     return Scene(_CONSUMER, merged(samples, fix), C_gb, eps, nabla, trajectory)
 
 
-def scene_of(method: str, seed: int) -> Scene:
-    """What a seed makes of the base that a method is for."""
+def scene_of(method: str, seed: int, dt: float | None = None) -> Scene:
+    """What a seed makes of the base that a method is for; ``dt`` s between samples where not the trial's."""
     trial = TRIALS[method]
+    dt = dt or trial.dt
     if trial.scene == "consumer":
-        return _consumer(seed, trial.dt)
-    scene = SCENES[trial.scene](seed, trial.dt)
+        return _consumer(seed, dt)
+    scene = SCENES[trial.scene](seed, dt)
     if "heading" not in ALIGNMENTS[method].needs:
         return scene
     heading = float(euler_from_dcm(scene.C_gb(scene.start_ns))[0])

@@ -51,7 +51,7 @@ class Scene:
 @cache
 def standing(seed: int) -> Scene:
     """A vehicle with its engine running: a third of a millimetre a second at the IMU."""
-    return _based(seed, [[1e-5], [3e-5], [3e-5]], 1.5, [0.3, 0.5, 1.0], GRADE)
+    return _based(seed, [[1e-5], [3e-5], [3e-5]], 1.437, [0.3, 0.5, 1.0], GRADE)
 
 
 @cache
