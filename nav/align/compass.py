@@ -20,7 +20,6 @@ import numpy as np
 from nav.align import still as watch
 from nav.align.compass_course import (
     AZIMUTH,
-    BATCH,
     COMPASS,
     PRESENT,
     Course,
@@ -30,17 +29,19 @@ from nav.align.compass_course import (
     end_leg,
     first_state,
     go,
+    is_lost,
     is_over,
     next_piece,
     opening,
     phi_covariance,
     place_course,
     progress,
+    stated,
 )
+from nav.align.compass_ledger import SWAY_S, Noise
 from nav.align.compass_theory import P_E, PHI, W_U
-from nav.align.static import PATIENCE_S, implausible, limits, nav_init, place_of, standing_at
+from nav.align.static import implausible, limits, lost, nav_init, place_of, standing_at
 from nav.align.store import Store
-from nav.align.stuck import look
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import position_matrix
 from nav.rotation import dcm_from_quat, quat_multiply
@@ -48,28 +49,34 @@ from nav.strapdown.kernels import X_C, X_H, X_Q
 from nav.types import ImuSample, Sample
 
 SIGMAS: Final = 6.0
-GROWTH: Final = 1.2  # of the damped period per second in the azimuth loop
-SHORTEST: Final = 0.125  # of the time in the azimuth loop: damped period at first
-LONGEST: Final = 3  # further pairs of passes when heading has not converged
+# Damped periods per time: those that leave the least noise in heading by `nav.align.compass_ledger`, of a
+# quiet base first and of one that moves by millimetres a second not much more. They grow while heading comes,
+# average for most of the time, and are short at the end, when what has been averaged has to be brought in.
+ONCE_PERIODS: Final = (0.25, 0.55, 1.1, 1.5, 0.9)
+BACK_PERIOD: Final = 0.85
+LAST_PERIODS: Final = (1.35, 1.7, 4.5, 0.82)
+LONGEST: Final = 3  # further pairs of passes over all data when heading has not converged
+FEWEST: Final = 8  # blocks, to see in them how restless the base is
 SETTLED: Final = 0.1  # of the noise that a rest of the start may be in a converged heading
 
 
 def once(config: AlignConfig) -> tuple[Leg, ...]:
-    """The four steps, once."""
-    end = config.coarse_s + config.fine_s
-    return (*opening(config.coarse_s), Leg(COMPASS, True, end, SHORTEST * config.fine_s, GROWTH))
-
-
-def rapid(config: AlignConfig) -> tuple[Leg, ...]:
-    """The four steps, and then back and forth: periods as long as the data, then half as long again."""
+    """The four steps; the azimuth loop goes back over those before it, and then ahead to the end."""
     end = config.coarse_s + config.fine_s
     return (
         *opening(config.coarse_s),
-        Leg(COMPASS, True, end, end),
-        Leg(COMPASS, False, 0.0, end),
-        Leg(COMPASS, True, end, 1.5 * end),
-        Leg(COMPASS, False, 0.0, 1.5 * end),
-        Leg(COMPASS, True, PRESENT, 1.5 * end),
+        Leg(COMPASS, False, 0.0, (config.coarse_s,)),
+        Leg(COMPASS, True, end, tuple(part * end for part in ONCE_PERIODS), end),
+    )
+
+
+def rapid(config: AlignConfig) -> tuple[Leg, ...]:
+    """That, and once more back and ahead over all of the data."""
+    end = config.coarse_s + config.fine_s
+    return (
+        *once(config),
+        Leg(COMPASS, False, 0.0, (BACK_PERIOD * end,)),
+        Leg(COMPASS, True, PRESENT, tuple(part * end for part in LAST_PERIODS), end),
     )
 
 
@@ -94,15 +101,42 @@ def _take(course: Course, sample: Sample) -> str | None:
     course.still = watch.add(course.still, sample, np.zeros(3), np.zeros(3))
     course.store.add(sample)
     if reason is None and watch.full(course.still):
-        course.still, reason = watch.close(course.still, config)
-        course.stuck, stuck = look(course.stuck, course.store, reason is not None)
-        reason = stuck or reason
+        before = course.still
+        course.still, reason = watch.close(before, config)
+        _feel(course, before)
         if course.origin is None and (found := place_of(config, course.still)) is not None:
             place_course(course, found)
-            first_state(course, np.zeros(3))
-        elif course.origin is None and course.still.seconds > config.coarse_s + PATIENCE_S:
-            reason = reason or "no position: no GNSS fix came and the configuration gives none"
+            first_state(course, course.still.force, np.zeros(3))
+        elif course.origin is None:
+            reason = reason or lost(config, course.still)
+        if course.noise is not None:
+            course.noise = _noise(course)
     return reason
+
+
+def _feel(course: Course, before: watch.Still) -> None:
+    """By how much the level velocity changed in the block that was closed, beside what it did ``before``."""
+    if before.seconds > 0.0:
+        push = (course.still.force - before.force) * course.still.seconds
+        up = before.force / np.linalg.norm(before.force)
+        push = push - up * (up @ push)
+        course.pushes += 0.5 * float(push @ push)
+
+
+def _noise(course: Course) -> Noise:
+    """What goes into the loops, by what the blocks so far show: how restless the base is in truth."""
+    config, still = course.config, course.still
+    stated_ = stated(config)
+    if still.blocks <= FEWEST:
+        return stated_
+    gyro = float(np.trace(watch.rate_covariance(still, config))) / 3.0 * still.seconds
+    # the block's change of velocity, by noise and by what comes and goes
+    quiet = config.velocity_random_walk**2 * watch.BLOCK_S
+    change, free = course.pushes / (still.blocks - 1), 2 * (still.blocks - 1)
+    base = 0.0
+    if change > quiet * (1.0 + 4.0 * math.sqrt(2.0 / free)):
+        base = (change - quiet) / (2.0 * (1.0 - math.exp(-watch.BLOCK_S / SWAY_S)))
+    return stated_._replace(gyro=gyro, base=base)
 
 
 def _work(course: Course) -> str | None:
@@ -110,8 +144,8 @@ def _work(course: Course) -> str | None:
     left = course.config.replay_samples
     moved = False
     while left > 0 and course.leg < len(course.plan):
-        if course.at < course.store.imu.first:
-            return f"it took longer than the {course.config.store_s:.0f} s of samples that are kept"
+        if is_lost(course):
+            return f"it takes longer than the {course.config.store_s:.0f} s of samples that are kept"
         piece = next_piece(course, left, course.store.imu.count)
         if piece is None:
             break
@@ -156,7 +190,8 @@ def _judge(course: Course) -> str | None:
     if leg.kind == AZIMUTH:
         return implausible(config, course.still, course.origin[0])
     if leg.kind == COMPASS and leg.ahead and course.ledger is not None:
-        P = course.ledger.covariance(config)
+        assert course.noise is not None
+        P = course.ledger.covariance(course.noise)
         for name, k, rate in (("north", P_E, course.law[9]), ("vertical", W_U, course.law[11])):
             sigma = math.sqrt(P[k, k])
             if abs(rate) > SIGMAS * sigma:
@@ -170,15 +205,21 @@ def _judge(course: Course) -> str | None:
 def _lengthen(course: Course) -> None:
     """One more pair of passes while two passes over the same data do not agree."""
     last = course.leg == len(course.plan)
-    pairs = sum(not leg.ahead for leg in course.plan)
-    if not last or course.before is None or course.ledger is None or pairs == 0 or pairs >= 2 + LONGEST:
+    if (
+        not last
+        or course.plan[-1].until != PRESENT
+        or len(course.plan) >= len(rapid(course.config)) + 2 * LONGEST
+    ):
         return
-    noise = math.sqrt(course.ledger.noise(course.config)[4, 4])
+    assert course.before is not None
+    assert course.ledger is not None
+    assert course.noise is not None
+    noise = math.sqrt(course.ledger.noise(course.noise)[4, 4])
     turned = quat_multiply(course.x[X_Q : X_Q + 4], course.before * np.array([1.0, -1.0, -1.0, -1.0]))
-    if course.ledger.from_start() < SETTLED * noise and 2.0 * abs(float(turned[3])) < SIGMAS * noise:
+    if course.ledger.kept() * course.found < SETTLED * noise and 2.0 * abs(float(turned[3])) < SIGMAS * noise:
         return
     leg = course.plan[-1]
-    course.plan = (*course.plan, Leg(COMPASS, False, 0.0, leg.period), leg)
+    course.plan = (*course.plan, course.plan[-2], leg)
     course.before = course.x[X_Q : X_Q + 4].copy()
     course.ledger.turn()
 
@@ -188,13 +229,13 @@ def _status(course: Course, reason: str | None = None) -> AlignStatus:
     lat, height = (course.origin[0], course.origin[2]) if course.origin is not None else (0.8, 0.0)
     over = course.leg >= len(course.plan)
     return AlignStatus(
-        estimate=attitude(course) if len(course.x) else None,
+        estimate=attitude(course) if course.found < math.pi else None,
         covariance=phi_covariance(course),
         limit=limits(config, lat, height, config.coarse_s + config.fine_s),
         progress=progress(course),
         done=over and course.at == course.store.imu.count and reason is None,
         refusal=reason,
-        behind=bool(len(course.x)) and course.store.imu.count - course.at >= BATCH,
+        behind=bool(len(course.x)) and course.store.imu.count - course.at >= course.batch,
     )
 
 
@@ -206,10 +247,10 @@ def _finish(course: Course) -> NavInit:
     C = dcm_from_quat(attitude(course))
     P = np.zeros((12, 12))
     P[0:3, 0:3] = np.eye(3) * config.sway**2
-    P[3:6, 3:6] = ledger.covariance(config)[PHI, PHI]
-    by_gyros, by_accelerometers = ledger.constants()
-    P[3:6, 6:9] = by_gyros @ C * config.gyro_bias**2
-    P[3:6, 9:12] = by_accelerometers @ C * config.accel_bias**2
+    assert course.noise is not None
+    P[3:6, 3:6] = ledger.covariance(course.noise)[PHI, PHI]
+    weights = ledger.constants()[:, 0:6]
+    P[3:6, 6:12] = weights * course.noise.constant[0:6] ** 2
     P[6:12, 3:6] = P[3:6, 6:12].T
     P[6:9, 6:9] = np.eye(3) * config.gyro_bias**2
     P[9:12, 9:12] = np.eye(3) * config.accel_bias**2

@@ -13,11 +13,15 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nav.align.compass_ledger import Ledger
+from nav.align.compass_ledger import Ledger, Noise
 from nav.align.compass_loop import L_P, L_SIZE, head, lead, set_free, set_gains
 from nav.align.compass_theory import (
-    P_E,
+    BASE,
+    EPS,
+    INPUTS,
+    NABLA,
     PHI,
+    STATES,
     V_E,
     V_N,
     AzimuthGains,
@@ -31,10 +35,9 @@ from nav.align.compass_theory import (
 from nav.align.level import level_dcm
 from nav.align.still import Still
 from nav.align.store import Piece, Store
-from nav.align.stuck import Stuck
 from nav.align.types import AlignConfig, AlignStatus
 from nav.earth import position_angles
-from nav.rotation import quat_from_dcm, quat_from_rotvec, quat_multiply, quat_rotate
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_multiply, quat_rotate
 from nav.strapdown.kernels import X_C, X_Q, X_V
 from nav.types import Vector
 
@@ -43,33 +46,44 @@ AZIMUTH: Final = "azimuth"
 COMPASS: Final = "compass"
 PRESENT: Final = math.inf
 
-BATCH: Final = 50  # samples that wait for each other while they come in
+BATCH: Final = 50  # samples at most, and seconds, that wait for each other while they come in
+BATCH_S: Final = 0.25
+STRIDE: Final = 4  # times as many have the same gains
 FIRST_S: Final = 1.0  # of which the mean specific force is the first vertical
 LEVEL_PERIOD: Final = 60.0  # s, damped period of the level loop beside the azimuth loop
-SHAKEN: Final = 0.7  # tilt of a levelling loop per (1 + K_2)/R and rms velocity of the base
 FEELS: Final = (0.4, 1.8)  # of Earth's north rate that a coarse azimuth may have felt
 
 
 class Leg(NamedTuple):
-    """A pass or part of one: ``until`` s since the beginning, with a damped ``period`` (s).
+    """A pass or part of one: ``until`` s since the beginning, with damped ``periods`` (s).
 
-    The period of a compass leg grows from ``period`` by ``growth`` for every second in it.
+    Several of them hold at equal distances over the ``over`` seconds from its start on, and run from one
+    to the next by equal ratios; the last one stays.
     """
 
     kind: str
     ahead: bool
     until: float
-    period: float
-    growth: float = 0.0
+    periods: tuple[float, ...]
+    over: float = 0.0
+
+    def period(self, seconds: float) -> float:
+        """The damped period (s) that holds ``seconds`` after its start."""
+        last = len(self.periods) - 1
+        if last == 0:
+            return self.periods[0]
+        place = min(seconds / self.over, 1.0) * last
+        k = min(int(place), last - 1)
+        return self.periods[k] * math.exp((place - k) * math.log(self.periods[k + 1] / self.periods[k]))
 
 
 def opening(coarse_s: float) -> tuple[Leg, ...]:
     """Level, coarse azimuth, level again, in ``coarse_s`` seconds."""
     period = 0.3 * coarse_s
     return (
-        Leg(LEVEL, True, 0.35 * coarse_s, period),
-        Leg(AZIMUTH, True, 0.75 * coarse_s, period),
-        Leg(LEVEL, True, coarse_s, period),
+        Leg(LEVEL, True, 0.35 * coarse_s, (period,)),
+        Leg(AZIMUTH, True, 0.75 * coarse_s, (period,)),
+        Leg(LEVEL, True, coarse_s, (period,)),
     )
 
 
@@ -81,18 +95,21 @@ class Course:
     plan: tuple[Leg, ...]
     store: Store
     still: Still = field(default_factory=Still)
-    stuck: Stuck = field(default_factory=Stuck)
     origin: tuple[float, float, float] | None = None
     earth: Place | None = None
     t0_ns: int | None = None
     leg: int = 0
     at: int = 0  # number of the next sample ahead; on the way back, of the one after it
     seconds: float = 0.0  # in this leg
+    batch: int = 1  # samples that wait for each other while they come in
     x: Vector = field(default_factory=lambda: np.zeros(0))
     law: Vector = field(default_factory=lambda: np.zeros(L_SIZE))
     free: Vector = field(default_factory=lambda: np.zeros(0))
     free_law: Vector = field(default_factory=lambda: np.zeros(L_SIZE))
     ledger: Ledger | None = None
+    noise: Noise | None = None  # what goes into it
+    pushes: float = 0.0  # (m/s)^2, sum over the blocks of a standstill of changes of one level velocity
+    found: float = math.pi  # rad, sigma of the coarse azimuth
     before: Vector | None = None  # attitude at the end of the last pass ahead
     status: AlignStatus | None = None
 
@@ -104,8 +121,8 @@ def gains(leg: Leg, earth: Place, seconds: float) -> tuple[LevelGains, AzimuthGa
     """Gains of a leg ``seconds`` after its start."""
     sign = 1.0 if leg.ahead else -1.0
     if leg.kind != COMPASS:
-        return level_gains(sign * decay(leg.period), earth.gravity), None
-    sigma = decay(leg.period + leg.growth * seconds)
+        return level_gains(sign * decay(leg.periods[0]), earth.gravity), None
+    sigma = decay(leg.period(seconds))
     # the level loops are faster than the azimuth loop, but slow enough not to follow the base's motion
     level = max(sigma, decay(LEVEL_PERIOD))
     return level_gains(sign * level, earth.gravity), azimuth_gains(sign * sigma, earth.gravity)
@@ -115,15 +132,23 @@ def compile_loops(config: AlignConfig) -> None:
     """Have everything compiled that a course needs later: not while samples come in."""
     row, second = np.zeros((1, 6)), np.ones(1)
     earth = place(0.5, 0.0)
-    level, azimuth = gains(Leg(COMPASS, True, 1.0, 100.0), earth, 0.0)
+    level, azimuth = gains(Leg(COMPASS, True, 1.0, (100.0,)), earth, 0.0)
     law = np.zeros(L_SIZE)
     set_gains(law, earth, level, azimuth)
     for ahead in (True, False):
         x = head(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), 0.5, 0.0, 0.0)
         lead(x, law, row, second, np.zeros((1, 3)), ahead)
-    ledger = Ledger(earth, np.eye(8), np.zeros((8, 8)))
-    ledger.advance(level, azimuth, 0.0, 1.0, True)
-    ledger.covariance(config)
+    ledger = Ledger(earth, np.ones(STATES))
+    ledger.advance(level, azimuth, 0.0, 1.0, True, np.eye(INPUTS))
+    ledger.covariance(stated(config))
+
+
+def stated(config: AlignConfig) -> Noise:
+    """What goes in by the configuration; the vehicle's motion is given one second of correlation."""
+    constant = np.zeros(INPUTS)
+    constant[0:3], constant[3:6] = config.gyro_bias, config.accel_bias
+    constant[6], constant[7] = config.odometer_scale, config.sigma_mounting
+    return Noise(config.angle_random_walk**2, config.velocity_random_walk**2, config.sway**2, constant)
 
 
 def place_course(course: Course, origin: tuple[float, float, float]) -> None:
@@ -132,12 +157,23 @@ def place_course(course: Course, origin: tuple[float, float, float]) -> None:
     course.earth = place(origin[0], origin[2])
 
 
-def first_state(course: Course, velocity: Vector) -> None:
-    """Begin with the vertical of the first second and heading zero; ``velocity`` (3,) m/s in b."""
+def first_state(course: Course, force: Vector, velocity: Vector) -> None:
+    """Begin after the first second, with ``force`` (3,) in b for the vertical and heading zero.
+
+    ``velocity`` (3,) m/s in b.
+    """
+    config, earth = course.config, course.earth
     assert course.origin is not None
-    piece = course.store.imu.ahead(0, course.store.imu.number(first_ns(course) + round(FIRST_S * 1e9)))
-    q = quat_from_dcm(level_dcm(piece.rows[:, 3:6].sum(axis=0)))
+    assert earth is not None
+    q = quat_from_dcm(level_dcm(force))
     course.x = head(q, quat_rotate(q, velocity), *course.origin)
+    course.at = course.store.imu.number(first_ns(course) + round(FIRST_S * 1e9))
+    course.batch = max(1, min(BATCH, config.replay_samples, round(course.at * BATCH_S / FIRST_S)))
+    start = np.zeros(STATES)
+    start[[V_E, V_N]] = config.sway + config.velocity_random_walk
+    start[PHI] = *(2 * [2.0 * start[V_E] / FIRST_S / earth.gravity]), 0.0
+    course.ledger = Ledger(earth, start)
+    course.noise = stated(config)
 
 
 def first_ns(course: Course) -> int:
@@ -160,13 +196,20 @@ def bound(course: Course, leg: Leg) -> tuple[int, bool]:
 def next_piece(course: Course, most: int, limit: int) -> Piece | None:
     """The next samples of the leg, at most ``most`` and none from number ``limit`` on; None: it must wait."""
     leg, imu = course.plan[course.leg], course.store.imu
+    most = min(most, STRIDE * course.batch)
     if not leg.ahead:
         return imu.back(course.at, most)
     end, more = bound(course, leg)
     end = min(end, limit)
-    if more and end - course.at < BATCH:
+    if more and end - course.at < course.batch:
         return None
     return imu.ahead(course.at, min(most, end - course.at))
+
+
+def is_lost(course: Course) -> bool:
+    """Whether samples that it still needs have been dropped: passes on the way back go to the first one."""
+    back = any(not leg.ahead for leg in course.plan[course.leg :])
+    return course.store.imu.first > (0 if back else course.at)
 
 
 def is_over(course: Course) -> bool:
@@ -187,16 +230,24 @@ def go(course: Course, piece: Piece, velocity: Vector) -> None:
     lead(course.x, course.law, piece.rows, piece.dt, velocity, leg.ahead)
     seconds = float(piece.dt.sum())
     if leg.kind == AZIMUTH:
-        if course.seconds == 0.0:
-            course.free = course.x.copy()
-            # what the loop had not levelled yet would grow with the square of time: begin from a smooth start
-        set_free(course.free_law, decay(leg.period))
+        set_free(course.free_law, decay(leg.periods[0]))
         lead(course.free, course.free_law, piece.rows, piece.dt, velocity, leg.ahead)
     if course.ledger is not None:
         begin = (int(piece.t_ns[0]) - first_ns(course)) * 1e-9 - float(piece.dt[0])
-        course.ledger.advance(level, azimuth, begin, seconds, leg.ahead)
+        mix = mixing(course, velocity.mean(axis=0))
+        course.ledger.advance(level, azimuth, begin, seconds, leg.ahead, mix)
     course.seconds += seconds
     course.at += len(piece.dt) if leg.ahead else -len(piece.dt)
+
+
+def mixing(course: Course, velocity: Vector) -> Vector:
+    """How constant errors, in b, and of ``velocity`` (3,) m/s in b along and across, come into the loops."""
+    C = dcm_from_quat(course.x[X_Q : X_Q + 4])
+    v = C @ velocity
+    mix = np.zeros((INPUTS, INPUTS))
+    mix[EPS, 0:3] = mix[NABLA, 3:6] = C
+    mix[BASE, 6], mix[BASE, 7] = v[0:2], (-v[1], v[0])
+    return mix
 
 
 def go_free(course: Course, piece: Piece) -> None:
@@ -219,12 +270,13 @@ def end_leg(course: Course) -> str | None:
         course.before = course.x[X_Q : X_Q + 4].copy()
     course.leg += 1
     course.seconds = 0.0
-    if course.leg < len(course.plan):
-        if course.ledger is not None:
-            course.ledger.turn()
-        coarse = any(each.kind == AZIMUTH for each in course.plan)
-        if coarse and course.plan[course.leg].kind == COMPASS and leg.kind != COMPASS:
-            course.ledger = open_ledger(course)
+    if course.ledger is not None:
+        course.ledger.turn()
+    if course.leg < len(course.plan) and course.plan[course.leg].kind == AZIMUTH:
+        # what the loop had not levelled yet would grow with the square of time: begin from a smooth start
+        course.free = course.x.copy()
+        assert course.ledger is not None
+        course.ledger.let_go()
     return reason
 
 
@@ -245,7 +297,12 @@ def turn_to_north(course: Course) -> str | None:
             f"levelled axes felt {felt:.2f} of Earth's north rate: "
             "the vehicle turns or is shaken, or calibration or latitude are wrong"
         )
-    turn_about_up(course, math.atan2(sine, cosine))
+    angle = math.atan2(sine, cosine)
+    turn_about_up(course, angle)
+    assert course.ledger is not None
+    assert course.noise is not None
+    course.ledger.find_north(angle, unit)
+    course.found = math.sqrt(course.ledger.covariance(course.noise)[4, 4])
     return None
 
 
@@ -256,35 +313,6 @@ def turn_about_up(course: Course, angle: float) -> None:
     course.x[X_V : X_V + 3] = quat_rotate(turn, course.x[X_V : X_V + 3])
     # the integrators hold the level part of Earth's rate, which is in the kernel from now on
     course.law[L_P] = 0.0
-
-
-def coarse_sigma(config: AlignConfig, earth: Place, leg: Leg, seconds: float) -> float:
-    """Standard deviation (rad) of heading after the coarse azimuth, without the constant errors' part."""
-    level = level_gains(decay(leg.period), earth.gravity)
-    tilt = SHAKEN * level.k2 * config.sway
-    tilt += math.sqrt(decay(leg.period)) * config.velocity_random_walk / earth.gravity
-    walk = config.angle_random_walk * math.sqrt(seconds) / (earth.north * seconds)
-    grown = 4.0 * config.sway / (earth.gravity * earth.north * seconds**2)
-    return math.hypot(2.0 * tilt / (earth.north * seconds), walk, grown, 0.01)
-
-
-def open_ledger(course: Course) -> Ledger:
-    """What is known where the azimuth loop is closed."""
-    config, earth = course.config, course.earth
-    assert earth is not None
-    coarse = next(leg for leg in course.plan if leg.kind == AZIMUTH)
-    heading = coarse_sigma(config, earth, coarse, 0.4 / 0.3 * coarse.period)
-    tilt = SHAKEN * level_gains(decay(coarse.period), earth.gravity).k2 * config.sway
-    start = np.zeros(8)
-    start[[V_E, V_N]] = config.sway + config.velocity_random_walk
-    start[PHI] = tilt + 1e-5, tilt + 1e-5, heading
-    start[P_E] = 0.1 * earth.north * heading
-    known = np.zeros((8, 8))
-    known[2, 4], known[3, 3] = -1.0 / earth.gravity, 1.0 / earth.gravity
-    known[4, 0] = -1.0 / earth.north
-    known[4, 3] = earth.up / earth.north / earth.gravity
-    known[P_E, 1] = 1.0
-    return Ledger(earth, np.diag(start**2), known)
 
 
 # ---- what it says ------------------------------------------------------------------------------
@@ -298,11 +326,12 @@ def attitude(course: Course) -> Vector:
 
 def phi_covariance(course: Course) -> Vector:
     """Covariance (3, 3) of phi, rad^2."""
-    if course.ledger is None:
-        config, earth = course.config, course.earth
-        level = 0.05 if course.leg == 0 or earth is None else config.accel_bias / earth.gravity + 1e-3
-        return np.diag([level**2, level**2, math.pi**2])
-    return course.ledger.covariance(course.config)[PHI, PHI]
+    if course.ledger is None or course.noise is None:
+        return np.diag([0.05**2, 0.05**2, math.pi**2])
+    P = course.ledger.covariance(course.noise)[PHI, PHI].copy()
+    if course.found == math.pi:
+        P[2, 2] = math.pi**2
+    return P
 
 
 def progress(course: Course) -> float:

@@ -31,6 +31,7 @@ from nav.align.compass_course import (
     first_state,
     go,
     go_free,
+    is_lost,
     is_over,
     next_piece,
     phi_covariance,
@@ -39,10 +40,10 @@ from nav.align.compass_course import (
     turn_about_up,
 )
 from nav.align.compass_loop import head
-from nav.align.moving_weights import BLOCK_S, EPS, NAB, PITCH, POS, TILT, VEL, YAWED, Weights
+from nav.align.handover import hand_over
+from nav.align.moving_weights import BLOCK_S, PITCH, POS, TILT, YAWED, Weights
 from nav.align.static import limits
 from nav.align.store import Piece, Store, Times, Track
-from nav.align.stuck import look
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import ecef, position_quat, xyz_to_geodetic
 from nav.rotation import dcm_from_quat, quat_from_dcm, quat_rotate
@@ -70,11 +71,11 @@ def plan(config: AlignConfig) -> tuple[Leg, ...]:
     first = max(config.coarse_s, OPENING * end)
     period = PERIOD * end
     return (
-        Leg(LEVEL, True, LEVELLING * first, LEVELLING * first / 1.2),
-        Leg(BLIND, True, first, 0.0),
-        Leg(COMPASS, True, end, period),
-        Leg(COMPASS, False, 0.0, period),
-        Leg(WEIGH, True, PRESENT, 0.0),
+        Leg(LEVEL, True, LEVELLING * first, (LEVELLING * first / 1.2,)),
+        Leg(BLIND, True, first, ()),
+        Leg(COMPASS, True, end, (period,)),
+        Leg(COMPASS, False, 0.0, (period,)),
+        Leg(WEIGH, True, PRESENT, ()),
     )
 
 
@@ -88,8 +89,9 @@ class Drive:
     fix: GnssFix | None = None
     weights: Weights | None = None
     coarse: Vector | None = None  # covariance of phi after the coarse azimuth
+    force: Vector = field(default_factory=lambda: np.zeros(3))  # m/s, velocity increments of the first second
     over: bool = False  # the last pass has come to the present, and nothing speaks against it
-    seconds: float = 0.0  # since it was last asked whether a sensor is stuck
+    seconds: float = 0.0  # since it was last asked whether the odometer is there
 
 
 # ---- the way -----------------------------------------------------------------------------------
@@ -186,13 +188,13 @@ def _inertial(drive: Drive, sample: ImuSample) -> str | None:
         course.t0_ns = sample.t_ns - round(sample.dt * 1e9)
     course.store.add(sample)
     reason = watch.fault(sample)
+    if sample.t_ns - course.t0_ns <= AHEAD_NS:
+        drive.force += sample.dv
     drive.seconds += sample.dt
     if drive.seconds >= 1.0:
         drive.seconds = 0.0
         if config.C_vb is None:
             return "how the IMU is mounted in the vehicle must be known"
-        course.stuck, stuck = look(course.stuck, course.store)
-        reason = reason or stuck
         silent = sample.t_ns - max(path.last_ns, course.t0_ns)
         if reason is None and silent > 3 * MISSING_NS:
             reason = f"no odometer for {silent * 1e-9:.1f} s"
@@ -203,7 +205,7 @@ def _inertial(drive: Drive, sample: ImuSample) -> str | None:
             speed = float(np.diff(way_at(path, t_ns))[0]) / (AHEAD_NS * 1e-9)
             turning = np.cross(first.rows[0, 0:3] / first.dt[0], config.odometer_lever_arm)
             assert config.C_vb is not None
-            first_state(course, speed * config.C_vb[1] - turning)
+            first_state(course, drive.force, speed * config.C_vb[1] - turning)
         reason = _work(drive)
     return reason
 
@@ -215,8 +217,10 @@ def _work(drive: Drive) -> str | None:
     left = course.config.replay_samples
     moved = False
     while left > 0 and course.leg < len(course.plan):
-        if course.at < imu.first:
-            return f"it took longer than the {course.config.store_s:.0f} s of samples that are kept"
+        if drive.over:
+            return _coast(drive, left)
+        if is_lost(course):
+            return f"it takes longer than the {course.config.store_s:.0f} s of samples that are kept"
         weighs = course.plan[course.leg].kind in (BLIND, WEIGH)
         piece = next_piece(course, left, imu.number(path.last_ns - (0 if weighs else SMOOTH_NS)))
         if piece is None:
@@ -239,10 +243,21 @@ def _work(drive: Drive) -> str | None:
             reason = _conclude(drive)
         if reason is not None:
             return reason
-        if drive.over or not (used or over):
+        if not (used or over):
             break
     if moved:
         course.status = _status(drive)
+    return None
+
+
+def _coast(drive: Drive, most: int) -> str | None:
+    """From where the odometer leaves it to the present."""
+    course, weights = drive.course, drive.weights
+    assert weights is not None
+    piece = course.store.imu.ahead(course.at, most)
+    weights.go(piece.rows, piece.dt)
+    course.at += len(piece.dt)
+    course.status = _status(drive)
     return None
 
 
@@ -286,7 +301,7 @@ def _judge(drive: Drive) -> str | None:
     again = any(leg.kind == RETURN for leg in course.plan)
     if not again and (abs(weights.turned) > ASTRAY or weights.reason is not None):
         # slip led the loops astray: from what came out of it back to the start, and once more
-        course.plan = (*course.plan, Leg(RETURN, False, 0.0, 0.0), course.plan[-1])
+        course.plan = (*course.plan, Leg(RETURN, False, 0.0, ()), course.plan[-1])
         course.leg += 1
         course.seconds = 0.0
         drive.over = False
@@ -345,21 +360,16 @@ def _status(drive: Drive, reason: str | None = None) -> AlignStatus:
         covariance=covariance,
         limit=limits(config, lat, height, config.coarse_s + config.fine_s),
         progress=progress(course),
-        done=drive.over and course.at >= waiting and reason is None,
+        done=drive.over and course.at == course.store.imu.count and reason is None,
         refusal=reason,
         behind=bool(len(course.x)) and waiting - course.at >= config.replay_samples,
     )
 
 
 def _finish(drive: Drive) -> NavInit:
-    """State at the last inertial sample: the few that the odometer has not confirmed yet are added."""
+    """State at the last inertial sample, which the odometer has not confirmed yet."""
     course, weights, config = drive.course, drive.weights, drive.course.config
     assert weights is not None
-    imu = course.store.imu
-    while course.at < imu.count:
-        piece = imu.ahead(course.at, imu.count - course.at)
-        weights.go(piece.rows, piece.dt)
-        course.at += len(piece.dt)
     weights.close(None)
     x, P = weights.x, weights.P[0:15, 0:15].copy()
     sigma_p = np.full(3, config.sigma_position)
@@ -370,27 +380,16 @@ def _finish(drive: Drive) -> NavInit:
     lat = math.asin(max(-1.0, min(1.0, C_eg[2, 2])))
     lon = math.atan2(C_eg[1, 2], C_eg[0, 2])
     r_e = ecef(lat, lon, float(x[X_H])) + C_eg @ weights.shift
-    lat, lon, height = xyz_to_geodetic(*r_e)
-    sigma = np.sqrt(np.diag(P))
     mounting = np.sqrt(np.diag(weights.P)[[PITCH, YAWED]])
-    q_gb = attitude(course)
-    return NavInit(
-        t_ns=imu.last_ns,
-        lat=lat,
-        lon=lon,
-        height=height,
-        v_g=x[X_V : X_V + 3].copy(),
-        q_gb=q_gb,
-        P_phi=P[TILT, TILT].copy(),
-        sigma_v=sigma[VEL],
-        sigma_p=sigma[POS],
-        gyro_bias=weights.bias[0:3].copy(),
-        accel_bias=weights.bias[3:6].copy(),
-        sigma_gyro_bias=sigma[EPS],
-        sigma_accel_bias=sigma[NAB],
-        C_vb=config.C_vb,
-        sigma_mounting=np.array([mounting[0], config.sigma_mounting, mounting[1]]),
-        P=P,
+    return hand_over(
+        course.store.imu.last_ns,
+        xyz_to_geodetic(*r_e),
+        x[X_V : X_V + 3].copy(),
+        attitude(course),
+        weights.bias,
+        P,
+        config.C_vb,
+        np.array([mounting[0], config.sigma_mounting, mounting[1]]),
     )
 
 
