@@ -31,8 +31,6 @@ class Wiring:
     fd: bool
 
 
-_SCALE_MATTERS_PPM: Final = 300.0
-"""A quarter turn with this scale error of a gyro is wrong by as much as heading is known."""
 _STANDING_M_S: Final = 0.0015
 """A wheel stands below 5 mm/s, and the speed of a start grows with the fifth power of time: 5 mm/s over
 the root of 11 while it does. Otherwise the simulated vehicle is still, but every start errs the same way."""
@@ -47,34 +45,24 @@ _FINE_S: Final = 240.0
 
 
 def imu_errors(grade: Grade) -> dict[str, float]:
-    """What a filter should assume of a unit of ``grade``, calibrated: keys of the bridge's imu_errors.
-
-    Errors of scale are given where they are large. Small ones, and those of the axes, look like biases of
-    the accelerometers at 1 g and are counted as such.
-    """
-    large = grade.gyro_scale_ppm >= _SCALE_MATTERS_PPM
-    # at 1 g as many ug: misalignment level, scale upright
-    accel_axes = _axes_ppm(grade.accel_misalignment_arcsec, 0.0 if large else grade.accel_scale_ppm)
+    """What a filter should assume of a unit of ``grade``, calibrated: keys of the bridge's imu_errors."""
+    gyro_axes, accel_axes = (
+        axes * ARCSEC * 1e6 for axes in (grade.gyro_misalignment_arcsec, grade.accel_misalignment_arcsec)
+    )
     return {
         "gyro_bias_deg_per_h": grade.gyro_bias_deg_per_h,
         "gyro_instability_deg_per_h": grade.gyro_instability_deg_per_h,
         "gyro_random_walk_deg_per_sqrt_h": grade.gyro_random_walk_deg_per_sqrt_h,
-        "gyro_scale_ppm": grade.gyro_scale_ppm if large else 0.0,
+        "gyro_scale_ppm": grade.gyro_scale_ppm,
+        # at 1 g a misalignment looks like a bias of as many ug of the level sensors
         "accel_bias_ug": math.hypot(grade.accel_bias_ug, accel_axes),
         "accel_instability_ug": grade.accel_instability_ug,
         "accel_random_walk_ug_per_sqrt_hz": grade.accel_random_walk_ug_per_sqrt_hz,
-        "accel_scale_ppm": grade.accel_scale_ppm if large else 0.0,
-        # what is shown is off by the whole misalignment, however little the vehicle turns
-        "gyro_axes_ppm": grade.gyro_misalignment_arcsec * ARCSEC * 1e6,
+        "accel_scale_ppm": grade.accel_scale_ppm,
+        "gyro_axes_ppm": gyro_axes,
         "accel_axes_ppm": accel_axes,
         "correlation_s": grade.correlation_s,
     }
-
-
-def _axes_ppm(misalignment_arcsec: float, scale_ppm: float) -> float:
-    """Rms over the axes of what motion about or along one axis puts into the three."""
-    axes_ppm = misalignment_arcsec * ARCSEC * 1e6
-    return math.sqrt((2.0 * axes_ppm**2 + scale_ppm**2) / 3.0)
 
 
 def alignment_s(rest_s: float) -> tuple[float, float]:

@@ -30,12 +30,13 @@ def error_dynamics(
     w_en_n: Vector,
     curvature: tuple[float, float, float],
     gravity_gradient: float,
+    f_rest_b: Vector | None = None,
 ) -> Matrix:
-    """F (25, 25) of ``d(dx)/dt = F dx`` for the states of `nav.filter.states`.
+    """F (FULL, FULL) of ``d(dx)/dt = F dx`` for the states of `nav.filter.states`.
 
     ``C_nb`` (3, 3); ``f_b``, ``w_b`` (3,) specific force and rate in b, corrected; ``v_n`` (3,) m/s;
     ``w_ie_n``, ``w_en_n`` (3,) rad/s; ``curvature`` of `nav.earth.curvature`; ``gravity_gradient``
-    2 g / R, 1/s^2.
+    2 g / R, 1/s^2; ``f_rest_b`` (3,) the specific force at which the accelerometers' axes make no error.
     """
     kxx, kxy, kyy = curvature
     mean = 0.5 * (kxx + kyy)
@@ -58,10 +59,11 @@ def error_dynamics(
     F[v, v] = -skew(2.0 * w_ie_n + w_en_n) + skew(v_n) @ en_v
     F[v, phi] = skew(C_nb @ f_b)
     F[v, st.ACCEL_BIAS] = -C_nb
-    F[v, st.ACCEL_SCALE] = -C_nb @ np.diag(f_b)
+    force = f_b if f_rest_b is None else f_b - f_rest_b
+    F[v, st.ACCEL_AXES] = -np.kron(C_nb, force)
     F[phi, p] = ie_p + en_p
     F[phi, v] = en_v
     F[phi, phi] = -skew(w_ie_n + w_en_n)
     F[phi, st.GYRO_BIAS] = C_nb
-    F[phi, st.GYRO_SCALE] = C_nb @ np.diag(w_b)
+    F[phi, st.GYRO_AXES] = np.kron(C_nb, w_b)
     return F

@@ -11,14 +11,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from nav.filter.states import P_GNSS, P_Q
+from nav.filter.states import BASIC, FULL, P_GNSS, P_Q, RECEIVER
 from nav.jit import kernel
 from nav.strapdown.kernels import M_C, M_EN, M_F, M_G, M_IE, M_K, M_V
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-WIDTH: Final = 32
+WIDTH: Final = 48
 """Length of a row of scratch: a multiple of what a processor takes at once, ALL or more."""
 OUT: Final = 15 * WIDTH
 """Where the results begin in scratch, behind the rows of navigation and sensor errors."""
@@ -163,8 +163,9 @@ def predict(
 ) -> None:
     """Covariance ``P`` (N, N) through ``dt`` seconds, in place.
 
-    ``mid`` is the strapdown kernel's record of the interval, ``w_b`` and ``f_b`` (3,) the corrected rate
-    and specific force, ``par`` holds noise densities (from place P_Q). ``factor``
+    ``mid`` is the strapdown kernel's record of the interval, ``w_b`` and ``f_b`` (3,) what errors of the axes
+    act on: the corrected rate, and the specific force less that at rest. ``par`` holds noise densities (from
+    place P_Q). ``factor``
     multiplies the noise of velocity and phi, ``extra_v`` and ``extra_phi`` are added to it ((m/s)^2/s and
     rad^2/s). ``w`` is scratch of PREDICT_SIZE numbers or more. Twin of `predict_readable`.
     """
@@ -175,14 +176,16 @@ def predict(
     for i in range(15):
         for c in range(n):
             w[WIDTH * i + c] = P[i, c]
-    if n > 19:
-        # a scale error acts as a bias of its size at this rate or force
+    if n > BASIC:
+        # an error of scale or axes acts as a bias of its size at this rate or force
         for k in range(3):
-            rate, force = w_b[k], f_b[k]
             g, f = WIDTH * (9 + k), WIDTH * (12 + k)
-            for c in range(n):
-                w[g + c] += rate * P[19 + k, c]
-                w[f + c] += force * P[22 + k, c]
+            for j in range(3):
+                rate, force = w_b[j], f_b[j]
+                a = BASIC + 3 * k + j
+                for c in range(n):
+                    w[g + c] += rate * P[a, c]
+                    w[f + c] += force * P[a + 9, c]
     _carry(w, A, mid, dt, (n + 7) // 8 * 8)
     for c in range(9, n):
         for i in range(9):
@@ -193,12 +196,14 @@ def predict(
     for i in range(9):
         for k in range(15):
             w[WIDTH * k + i] = w[OUT + WIDTH * i + k]
-    if n > 19:
+    if n > BASIC:
         for i in range(9):
-            o = OUT + WIDTH * i
             for k in range(3):
-                w[WIDTH * (9 + k) + i] += w_b[k] * w[o + 19 + k]
-                w[WIDTH * (12 + k) + i] += f_b[k] * w[o + 22 + k]
+                o = OUT + WIDTH * i + BASIC + 3 * k
+                g, f = WIDTH * (9 + k) + i, WIDTH * (12 + k) + i
+                for j in range(3):
+                    w[g] += w_b[j] * w[o + j]
+                    w[f] += f_b[j] * w[o + 9 + j]
     _carry(w, A, mid, dt, 16)
     for i in range(9):
         for j in range(i + 1):
@@ -208,19 +213,19 @@ def predict(
 
     for c in range(9, n):
         P[c, c] += par[P_Q + c] * dt
-    if n > 25:
+    if n > FULL:
         keep = 1.0 - par[P_GNSS] * dt
-        for i in range(25, 28):
+        for i in range(FULL, RECEIVER):
             P[i, i] -= par[P_Q + i] * dt
         turn = mid[M_EN + 2] * dt
         if turn != 0.0:
             for c in range(n):
-                a, b = P[25, c], P[26, c]
-                P[25, c], P[26, c] = a + turn * b, b - turn * a
+                a, b = P[FULL, c], P[FULL + 1, c]
+                P[FULL, c], P[FULL + 1, c] = a + turn * b, b - turn * a
             for c in range(n):
-                a, b = P[c, 25], P[c, 26]
-                P[c, 25], P[c, 26] = a + turn * b, b - turn * a
-        for i in range(25, 28):
+                a, b = P[c, FULL], P[c, FULL + 1]
+                P[c, FULL], P[c, FULL + 1] = a + turn * b, b - turn * a
+        for i in range(FULL, RECEIVER):
             for c in range(n):
                 P[i, c] *= keep
                 P[c, i] *= keep
@@ -242,9 +247,9 @@ def feedback_readable(P: Matrix, gains: tuple[float, float, float], q: float, dt
     feed = np.zeros(len(P))
     feed[2], feed[5] = -k1, -k2
     F = np.zeros_like(P)
-    if len(P) > 28:
-        feed[28] = k3
-        F[5, 28] = -1.0
+    if len(P) > RECEIVER:
+        feed[RECEIVER] = k3
+        F[5, RECEIVER] = -1.0
     F[:, 2] += feed
     F[:, 18] += feed
     Phi = np.eye(len(P)) + F * dt
@@ -256,21 +261,21 @@ def feedback(P: Matrix, k1: float, k2: float, k3: float, q: float, dt: float) ->
     """Covariance ``P`` through the feedback of a height channel, in place. Twin of `feedback_readable`."""
     n = P.shape[0]
     a, b, c = k1 * dt, k2 * dt, k3 * dt
-    third = n > 28
+    third = n > RECEIVER
     for k in range(n):
         s = P[2, k] + P[18, k]
         P[2, k] -= a * s
         P[5, k] -= b * s
         if third:
-            P[5, k] -= dt * P[28, k]
-            P[28, k] += c * s
+            P[5, k] -= dt * P[RECEIVER, k]
+            P[RECEIVER, k] += c * s
     for k in range(n):
         s = P[k, 2] + P[k, 18]
         P[k, 2] -= a * s
         P[k, 5] -= b * s
         if third:
-            P[k, 5] -= dt * P[k, 28]
-            P[k, 28] += c * s
+            P[k, 5] -= dt * P[k, RECEIVER]
+            P[k, RECEIVER] += c * s
     # both triangles by sums in the same order but for rounding; one is enough
     for i in range(n):
         for j in range(i):
@@ -281,8 +286,8 @@ def feedback(P: Matrix, k1: float, k2: float, k3: float, q: float, dt: float) ->
     P[2, 5] += a * b * r
     P[5, 2] += a * b * r
     if third:
-        P[28, 28] += c * c * r
-        P[2, 28] -= a * c * r
-        P[28, 2] -= a * c * r
-        P[5, 28] -= b * c * r
-        P[28, 5] -= b * c * r
+        P[RECEIVER, RECEIVER] += c * c * r
+        P[2, RECEIVER] -= a * c * r
+        P[RECEIVER, 2] -= a * c * r
+        P[5, RECEIVER] -= b * c * r
+        P[RECEIVER, 5] -= b * c * r

@@ -18,16 +18,14 @@ _MOUNTING_FOUND = np.radians(3.0)
 def initial_state(init: NavInit, config: NavigatorConfig) -> tuple[Vector, Vector, bool]:
     """State (X_SIZE,), covariance (N, N), and whether the mounting is known.
 
-    n starts as east-north-up. A configured mounting goes before one that the alignment found. Gyros that are
-    all turned by the same angle navigate as well as before: only the vehicle sits differently about them, so
-    their misalignment is one of the mounting. Accelerometers that disagree with them look biased, which they
-    may be anyway.
+    n starts as east-north-up. A configured mounting goes before one that the alignment found.
     """
     x = np.zeros(st.X_SIZE)
     x[X_Q : X_Q + 4] = rot.quat_normalize(init.q_gb)
     x[X_V : X_V + 3] = init.v_g
     x[X_C : X_C + 9] = earth.position_matrix(init.lat, init.lon).ravel()
     x[X_H] = init.height
+    x[st.X_F0 : st.X_F0 + 3] = rot.dcm_from_quat(init.q_gb).T @ -earth.gravity_g(init.lat, init.height)
     x[st.X_BG : st.X_BG + 3] = init.gyro_bias
     x[st.X_BA : st.X_BA + 3] = init.accel_bias
 
@@ -40,20 +38,19 @@ def initial_state(init: NavInit, config: NavigatorConfig) -> tuple[Vector, Vecto
     d[st.ACCEL_BIAS] = init.sigma_accel_bias
     d[st.ODO_SCALE] = config.odometer_scale if config.odometer else 0.0
     d[st.BARO_BIAS] = config.baro_bias
-    d[st.GYRO_SCALE] = imu.gyro_scale
-    d[st.ACCEL_SCALE] = imu.accel_scale
+    d[st.GYRO_AXES] = _axes(imu.gyro_scale, imu.gyro_axes)
+    d[st.ACCEL_AXES] = _axes(imu.accel_scale, imu.accel_axes)
     C_vb, known = config.C_vb, True
     if C_vb is not None:
-        d[st.MOUNTING] = np.hypot(config.sigma_mounting, imu.gyro_axes)
+        d[st.MOUNTING] = config.sigma_mounting
     elif init.C_vb is not None:
         C_vb = init.C_vb
         sigma = init.sigma_mounting if init.sigma_mounting is not None else np.full(3, _MOUNTING_FOUND)
-        d[st.MOUNTING] = np.hypot(sigma[[0, 2]], imu.gyro_axes)
+        d[st.MOUNTING] = sigma[[0, 2]]
         x[st.X_ROLL] = sigma[1] ** 2
     else:
         # v is b until it is found; what is shown then is b's attitude, with b's sigma
         C_vb, known = np.eye(3), False
-    x[st.X_ROLL] += imu.gyro_axes**2
     x[st.X_QV : st.X_QV + 4] = rot.quat_from_dcm(C_vb)
     x[st.X_Q0 : st.X_Q0 + 4] = x[st.X_QV : st.X_QV + 4]
     P[np.diag_indices(st.ALL)] = d**2
@@ -73,3 +70,8 @@ def initial_state(init: NavInit, config: NavigatorConfig) -> tuple[Vector, Vecto
         P[st.POSITION, st.GNSS] = P[st.GNSS, st.POSITION] = -slow
     n = config.states
     return x, P[:n, :n].copy(), known
+
+
+def _axes(scale: float, axes: float) -> Vector:
+    """Sigmas (9,) of scale errors and misalignment, row by row."""
+    return np.where(np.eye(3) > 0.0, scale, axes).ravel()

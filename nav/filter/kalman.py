@@ -11,7 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.earth import curvature
-from nav.filter.states import X_BA, X_BB, X_BG, X_GB, X_KO, X_PATH, X_PT, X_QV, X_SA, X_SG
+from nav.filter.states import (
+    BASIC,
+    FULL,
+    RECEIVER,
+    X_BA,
+    X_BB,
+    X_BG,
+    X_GB,
+    X_KO,
+    X_MG,
+    X_PATH,
+    X_PT,
+    X_QV,
+)
 from nav.jit import kernel
 from nav.rotation import exponential, multiply, rotate
 from nav.strapdown.kernels import X_A_H, X_C, X_H, X_Q, X_V, rotate_columns
@@ -160,12 +173,11 @@ def correct(x: Vector, dx: Vector) -> None:
     norm = 1.0 / np.sqrt(w * w + i1 * i1 + j1 * j1 + k1 * k1)
     x[X_QV], x[X_QV + 1], x[X_QV + 2], x[X_QV + 3] = w * norm, i1 * norm, j1 * norm, k1 * norm
     x[X_BB] -= dx[18]
-    if dx.shape[0] > 19:
+    if dx.shape[0] > BASIC:
+        for i in range(18):
+            x[X_MG + i] -= dx[BASIC + i]
+    if dx.shape[0] > RECEIVER:
+        x[X_A_H] -= dx[RECEIVER]
+    if dx.shape[0] > FULL:
         for i in range(3):
-            x[X_SG + i] -= dx[19 + i]
-            x[X_SA + i] -= dx[22 + i]
-    if dx.shape[0] > 28:
-        x[X_A_H] -= dx[28]
-    if dx.shape[0] > 25:
-        for i in range(3):
-            x[X_GB + i] -= dx[25 + i]
+            x[X_GB + i] -= dx[FULL + i]

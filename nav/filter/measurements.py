@@ -21,6 +21,7 @@ from nav.filter.kalman import GATES, correct, update_gain
 from nav.filter.motion import eb_rate, matrix, mean_velocity, vehicle_row, vehicle_velocity
 from nav.filter.states import (
     ALL,
+    FULL,
     P_ARW,
     P_LG,
     P_SLIP,
@@ -118,10 +119,10 @@ def gnss_position(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
     H[0, 7], H[0, 8] = -lz, ly
     H[1, 6], H[1, 8] = lz, -lx
     H[2, 6], H[2, 7] = -ly, lx
-    if n > 25:
+    if n > FULL:
         for i in range(3):
             r[i] += x[X_GB + i]
-            H[i, 25 + i] = 1.0
+            H[i, FULL + i] = 1.0
     return _finish(x, P, H, r, _noise_in_n(C, z[4:10]), np.zeros((n, 3)), gate, out)
 
 

@@ -31,6 +31,29 @@ def matrix(q: Vector) -> Matrix:
 
 
 @kernel
+def undo_axes(x: Vector, place: int, out: Vector) -> None:
+    """Put the inverse of ``I + M`` into ``out`` (9,), M (9,) standing at ``place`` in ``x``."""
+    a, b, c = 1.0 + x[place], x[place + 1], x[place + 2]
+    d, e, f = x[place + 3], 1.0 + x[place + 4], x[place + 5]
+    g, h, i = x[place + 6], x[place + 7], 1.0 + x[place + 8]
+    u, v, w = e * i - f * h, f * g - d * i, d * h - e * g
+    s = 1.0 / (a * u + b * v + c * w)
+    out[0], out[1], out[2] = s * u, s * (c * h - b * i), s * (b * f - c * e)
+    out[3], out[4], out[5] = s * v, s * (a * i - c * g), s * (c * d - a * f)
+    out[6], out[7], out[8] = s * w, s * (b * g - a * h), s * (a * e - b * d)
+
+
+@kernel
+def times(m: Vector, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Matrix ``m`` (9,), row by row, times a vector."""
+    return (
+        m[0] * x + m[1] * y + m[2] * z,
+        m[3] * x + m[4] * y + m[5] * z,
+        m[6] * x + m[7] * y + m[8] * z,
+    )
+
+
+@kernel
 def eb_rate(x: Vector) -> tuple[float, float, float]:
     """w_eb_b: rate of b with respect to the Earth, over the last update."""
     ix, iy, iz = rotate(

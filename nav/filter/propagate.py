@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE, gravity_north, normal_gravity, radii
 from nav.filter.covariance import PREDICT_SIZE, feedback, predict
-from nav.filter.motion import carry_tick, lose_path
+from nav.filter.motion import carry_tick, lose_path, times, undo_axes
 from nav.filter.states import (
     P_GAP_A,
     P_GAP_W,
     P_GNSS,
     P_LO,
     P_LP,
-    P_PUSH,
-    P_TURN,
     P_U,
     P_VIB_A,
     P_VIB_G,
@@ -26,15 +24,16 @@ from nav.filter.states import (
     X_BB,
     X_BG,
     X_F,
+    X_F0,
     X_GB,
     X_KO,
+    X_MA,
+    X_MG,
     X_PATH,
     X_PT,
     X_Q0,
     X_QV,
     X_ROLL,
-    X_SA,
-    X_SG,
     X_W,
 )
 from nav.jit import kernel
@@ -77,10 +76,12 @@ def row_size(samples: int) -> int:
 REST_SIZE: Final = 14
 
 # Places in the scratch, behind a first row of `solution_row`.
-_D: Final = 32  # samples without biases, 6 * MOST_SAMPLES
+_D: Final = 48  # samples without biases, 6 * MOST_SAMPLES
 _U: Final = _D + 6 * MOST_SAMPLES  # control vector
 _INC: Final = _U + U_SIZE  # what the samples add up to, 6
-WORK_MID: Final = _INC + 6  # record of the middle of the update, M_SIZE
+_AXES: Final = _INC + 6  # what takes errors of scale and axes out, of gyros and accelerometers, 18
+_FELT: Final = _AXES + 18  # specific force less that at rest, 3
+WORK_MID: Final = _FELT + 3  # record of the middle of the update, M_SIZE
 _PREDICT: Final = (WORK_MID + M_SIZE + 63) // 64 * 64  # of `predict`, where a line of the cache begins
 WORK_SIZE: Final = _PREDICT + PREDICT_SIZE
 """Length of the scratch vector that the kernels share."""
@@ -141,19 +142,24 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
         d[0], d[1], d[2], d[3], d[4], d[5] = sx, sy, sz, tx, ty, tz
     else:
         part = dt / n
+        g, f = work[_AXES : _AXES + 9], work[_AXES + 9 : _AXES + 18]
+        undo_axes(x, X_MG, g)
+        undo_axes(x, X_MA, f)
         wx, wy, wz = x[X_BG] * part, x[X_BG + 1] * part, x[X_BG + 2] * part
-        ax, ay, az = x[X_BA] * part, x[X_BA + 1] * part, x[X_BA + 2] * part
-        gx, gy, gz = 1.0 / (1.0 + x[X_SG]), 1.0 / (1.0 + x[X_SG + 1]), 1.0 / (1.0 + x[X_SG + 2])
-        fx, fy, fz = 1.0 / (1.0 + x[X_SA]), 1.0 / (1.0 + x[X_SA + 1]), 1.0 / (1.0 + x[X_SA + 2])
+        # the bias holds what the axes make of the force at rest
+        rx, ry, rz = x[X_F0], x[X_F0 + 1], x[X_F0 + 2]
+        ax = (x[X_BA] - x[X_MA] * rx - x[X_MA + 1] * ry - x[X_MA + 2] * rz) * part
+        ay = (x[X_BA + 1] - x[X_MA + 3] * rx - x[X_MA + 4] * ry - x[X_MA + 5] * rz) * part
+        az = (x[X_BA + 2] - x[X_MA + 6] * rx - x[X_MA + 7] * ry - x[X_MA + 8] * rz) * part
         sx, sy, sz, tx, ty, tz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(n):
             o, p = 3 * k, 3 * (n + k)
             bx, by, bz = row[ROW_D + o] - wx, row[ROW_D + o + 1] - wy, row[ROW_D + o + 2] - wz
-            bx, by, bz = bx * gx, by * gy, bz * gz
+            bx, by, bz = times(g, bx, by, bz)
             d[o], d[o + 1], d[o + 2] = bx, by, bz
             sx, sy, sz = sx + bx, sy + by, sz + bz
             bx, by, bz = row[ROW_D + p] - ax, row[ROW_D + p + 1] - ay, row[ROW_D + p + 2] - az
-            bx, by, bz = bx * fx, by * fy, bz * fz
+            bx, by, bz = times(f, bx, by, bz)
             d[p], d[p + 1], d[p + 2] = bx, by, bz
             tx, ty, tz = tx + bx, ty + by, tz + bz
         extra_v = 0.0
@@ -201,15 +207,14 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
     x[X_GB], x[X_GB + 1] = keep * (gx + turn * gy), keep * (gy - turn * gx)
     x[X_GB + 2] *= keep
 
-    # what scale and axes of the sensors do to motion: an error of velocity with a change of speed, an error
-    # of angle about its axis with a turn
-    a2 = x[X_A] * x[X_A] + x[X_A + 1] * x[X_A + 1] + x[X_A + 2] * x[X_A + 2]
-    extra_v += par[P_PUSH] * np.sqrt(a2)
+    felt = work[_FELT : _FELT + 3]
+    for i in range(3):
+        felt[i] = x[X_F + i] - x[X_F0 + i]
     predict(
         P,
         mid,
         x[X_W : X_W + 3],
-        x[X_F : X_F + 3],
+        felt,
         dt,
         par,
         row[ROW_NOISE],
@@ -221,19 +226,6 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
         feedback(P, u[U_KH], u[U_KH + 1], u[U_KH + 2], row[ROW_H_Q], dt)
     if row[ROW_GAP] == 0.0 and (par[P_VIB_G] > 0.0 or par[P_VIB_A] > 0.0):
         _add_vibration(P, mid, par[P_VIB_G], par[P_VIB_A], row)
-    w = np.sqrt(wx * wx + wy * wy + wz * wz)
-    if w > 0.0:
-        nx = c[0] * wx + c[1] * wy + c[2] * wz
-        ny = c[3] * wx + c[4] * wy + c[5] * wz
-        nz = c[6] * wx + c[7] * wy + c[8] * wz
-        s = par[P_TURN] * dt / w
-        P[6, 6] += s * nx * nx
-        P[7, 7] += s * ny * ny
-        P[8, 8] += s * nz * nz
-        P[6, 7] += s * nx * ny
-        P[6, 8] += s * nx * nz
-        P[7, 8] += s * ny * nz
-        P[7, 6], P[8, 6], P[8, 7] = P[6, 7], P[6, 8], P[7, 8]
 
 
 @kernel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
 
@@ -15,9 +14,6 @@ from nav.strapdown.coning import MOST_SAMPLES
 from nav.strapdown.control import U_KH
 from nav.strapdown.height import height_gains
 from nav.types import Vector
-
-_TURN: Final = 1.0  # rad
-_PUSH: Final = 10.0  # m/s
 
 
 def _zero() -> Vector:
@@ -31,12 +27,13 @@ class ImuErrors:
     ``angle_random_walk`` rad/sqrt(s), ``velocity_random_walk`` m/s/sqrt(s). ``gyro_bias`` rad/s and
     ``accel_bias`` m/s^2: constant part where an alignment does not say better. ``gyro_instability``
     and ``accel_instability``: steady sigma of the part that wanders with the correlation times
-    ``gyro_bias_time`` and ``accel_bias_time``, s. ``gyro_scale``, ``accel_scale`` (1): scale-factor
-    errors; zero for both leaves them out of the filter. ``gyro_vibration``, ``accel_vibration`` (1): part
+    ``gyro_bias_time`` and ``accel_bias_time``, s. ``gyro_scale``, ``accel_scale`` (1): errors of scale, and
+    ``gyro_axes``, ``accel_axes`` (1): what input along one axis puts into each other one, misalignment; zero
+    for all leaves them out of the filter. ``accel_bias`` is all that is wrong at rest, with what axes and
+    scale make of gravity. ``gyro_vibration``, ``accel_vibration`` (1): part
     of the squared difference of the two increments of an update that is taken for noise, axis by axis. 1
     for sensors that are sampled, so that vibration faster than half the rate comes back at any frequency;
-    0 for those that integrate. ``gyro_axes`` rad, ``accel_axes`` (1): what motion
-    about or along one axis puts into another: misalignment, and errors of scale that are no states.
+    0 for those that integrate.
     """
 
     angle_random_walk: float
@@ -162,7 +159,8 @@ class NavigatorConfig:
             return st.ALL
         if max(self.gnss_correlated) > 0.0:
             return st.RECEIVER
-        return st.FULL if self.imu.gyro_scale or self.imu.accel_scale else st.BASIC
+        imu = self.imu
+        return st.FULL if imu.gyro_scale or imu.accel_scale or imu.gyro_axes or imu.accel_axes else st.BASIC
 
 
 def align_config(config: NavigatorConfig) -> AlignConfig:
@@ -201,10 +199,6 @@ def parameters(config: NavigatorConfig) -> Vector:
     p[st.P_ARW] = imu.angle_random_walk
     p[st.P_VIB_G] = imu.gyro_vibration
     p[st.P_VIB_A] = imu.accel_vibration
-    # errors of axes and scale come back with the motion that made them: walks over turns and changes of
-    # speed no longer than these
-    p[st.P_TURN] = imu.gyro_axes**2 * _TURN
-    p[st.P_PUSH] = imu.accel_axes**2 * _PUSH
     q = p[st.P_Q : st.P_Q + st.ALL]
     q[st.VELOCITY] = imu.velocity_random_walk**2
     q[st.PHI] = imu.angle_random_walk**2

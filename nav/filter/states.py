@@ -11,8 +11,10 @@ follows the naming law: computed ``C = (I - [phi x]) C_nb``, so that the true at
 - odometer scale (1): of k in ``true distance = (1 + k) measured distance``
 - mounting (2): mu about right and up of v, computed ``C_vb = (I - [mu x]) true C_vb``
 - baro bias (1): m, of what is added to the height to predict the barometer
-- gyro scale, accel scale (3 + 3): of s in ``measured = (1 + s) true + bias``; these last six are left
-  out of the filter where their initial sigma is zero
+- gyro axes, accel axes (9 + 9): of M, row by row, in ``measured = true + M (true - rest) + bias``: scale
+  errors on the diagonal, misalignment beside it. ``rest`` is zero for gyros; for accelerometers it is the
+  force felt when navigation began, so that their bias is all that was wrong then. Left out of the filter
+  where their initial sigmas are zero
 - gnss (3): metres along n, of the slowly varying error of the receiver's position (orbits, ionosphere,
   reflections), which decays to zero with its correlation time; left out where its sigma is zero
 - height correction (1): m/s^2, of what a third-order height channel takes off the vertical acceleration,
@@ -37,17 +39,17 @@ ACCEL_BIAS: Final = slice(12, 15)
 ODO_SCALE: Final = slice(15, 16)
 MOUNTING: Final = slice(16, 18)
 BARO_BIAS: Final = slice(18, 19)
-GYRO_SCALE: Final = slice(19, 22)
-ACCEL_SCALE: Final = slice(22, 25)
-GNSS: Final = slice(25, 28)
-HEIGHT_A: Final = slice(28, 29)
+GYRO_AXES: Final = slice(19, 28)
+ACCEL_AXES: Final = slice(28, 37)
+GNSS: Final = slice(37, 40)
+HEIGHT_A: Final = slice(40, 41)
 BASIC: Final = 19
-"""Number of states without the scale factors."""
-FULL: Final = 25
+"""Number of states without the errors of scale and axes."""
+FULL: Final = 37
 """Number of states with them."""
-RECEIVER: Final = 28
+RECEIVER: Final = 40
 """Number of states with the receiver's error as well."""
-ALL: Final = 29
+ALL: Final = 41
 """Number of states with the height channel's integral as well."""
 
 X_BG: Final = 18  # gyro bias, 3
@@ -55,19 +57,20 @@ X_BA: Final = 21  # accelerometer bias, 3
 X_KO: Final = 24  # odometer scale
 X_QV: Final = 25  # q_vb, 4
 X_BB: Final = 29  # barometer bias
-X_SG: Final = 30  # gyro scale, 3
-X_SA: Final = 33  # accelerometer scale, 3
-X_W: Final = 36  # w_ib_b over the last update, corrected, 3
-X_F: Final = 39  # f_b over the last update, corrected, 3
-X_A: Final = 42  # mean acceleration of the last update in n (rate of v_n), 3
-X_PATH: Final = 45  # integral of the odometer point's velocity in v since the last odometer epoch, 3
-X_PT: Final = 48  # and its duration, s
-X_Q0: Final = 49  # q_vb as configured or first found, the reference of the mounting shown, 4
-X_GB: Final = 53  # slowly varying error of the receiver's position in n, 3
-X_ROLL: Final = 56  # variance of the mounting's roll, which no measurement shows
-X_TICK: Final = 57  # part of a tick since the odometer's last one, as the last epoch left it: mean, m
-X_TICK_VAR: Final = 58  # its variance, m^2
-X_TICK_COV: Final = 59  # and its covariance with the errors of the states, ALL
+X_MG: Final = 30  # gyro axes, 9
+X_MA: Final = 39  # accelerometer axes, 9
+X_W: Final = 48  # w_ib_b over the last update, corrected, 3
+X_F: Final = 51  # f_b over the last update, corrected, 3
+X_A: Final = 54  # mean acceleration of the last update in n (rate of v_n), 3
+X_PATH: Final = 57  # integral of the odometer point's velocity in v since the last odometer epoch, 3
+X_PT: Final = 60  # and its duration, s
+X_Q0: Final = 61  # q_vb as configured or first found, the reference of the mounting shown, 4
+X_GB: Final = 65  # slowly varying error of the receiver's position in n, 3
+X_ROLL: Final = 68  # variance of the mounting's roll, which no measurement shows
+X_F0: Final = 69  # f_b when navigation began, 3
+X_TICK: Final = 72  # part of a tick since the odometer's last one, as the last epoch left it: mean, m
+X_TICK_VAR: Final = 73  # its variance, m^2
+X_TICK_COV: Final = 74  # and its covariance with the errors of the states, ALL
 X_SIZE: Final = X_TICK_COV + ALL
 
 # Places in the parameter vector that kernels take.
@@ -78,11 +81,9 @@ P_SLIP: Final = 9  # side slip per lateral acceleration, s
 P_GAP_W: Final = 10  # rate that may pass unseen in a gap, rad/s
 P_GAP_A: Final = 11  # acceleration that may pass unseen in a gap, m/s^2
 P_ARW: Final = 12  # angle random walk, rad/sqrt(s)
-P_TURN: Final = 13  # variance of angle about its axis that a turn adds per radian, rad
-P_PUSH: Final = 14  # variance of velocity that a change of speed adds per m/s, m/s
-P_VIB_G: Final = 15  # part of the squared difference of two angle increments that is noise
-P_VIB_A: Final = 16  # likewise of velocity increments
-P_Q: Final = 17  # noise densities of the states, ALL
+P_VIB_G: Final = 13  # part of the squared difference of two angle increments that is noise
+P_VIB_A: Final = 14  # likewise of velocity increments
+P_Q: Final = 15  # noise densities of the states, ALL
 P_GNSS: Final = P_Q + ALL  # rate at which the receiver's error decays, 1/s
 P_U: Final = P_GNSS + 1  # control vector of the strapdown kernel, U_SIZE
 P_SIZE: Final = P_U + U_SIZE

@@ -29,15 +29,19 @@ def run(seed, wheel, place=(0.8, 0.2), fixes_hz=4.0, tick=0.0):
     rng = np.random.default_rng(seed)
     drive = Drive(*place, C_vb=rot.dcm_from_euler(0.5, 0.1, -0.1), nod=0.0)
     error = rng.normal(size=15) * SIGMAS
-    scale_g, scale_a = rng.normal(size=3) * SCALE, rng.normal(size=3) * SCALE
+    axes_g, axes_a = rng.normal(size=(3, 3)) * SCALE, rng.normal(size=(3, 3)) * SCALE
     mu, odo_scale = rng.normal(size=2) * MOUNTING, rng.normal() * 0.01
     dtheta, dv = drive.increments(round(SECONDS / DT), DT)
-    # biases are zero in truth; the hand-over believes something else
-    dtheta = dtheta * (1 + scale_g) + ARW * math.sqrt(DT) * rng.normal(size=dtheta.shape)
-    dv = dv * (1 + scale_a) + VRW * math.sqrt(DT) * rng.normal(size=dv.shape)
+    # biases are zero in truth, those of the accelerometers at rest; the hand-over believes something else
+    lat, _, height, _, C_gb = drive.geodetic(0.0)
+    rest = -C_gb.T @ earth.gravity_g(lat, height) * DT
+    dtheta = dtheta + dtheta @ axes_g.T + ARW * math.sqrt(DT) * rng.normal(size=dtheta.shape)
+    dv = dv + (dv - rest) @ axes_a.T + VRW * math.sqrt(DT) * rng.normal(size=dv.shape)
     guess = rot.dcm_from_quat(rot.quat_from_rotvec([-mu[0], 0.0, -mu[1]])) @ drive.C_vb
     config = NavigatorConfig(
-        ImuErrors(ARW, VRW, 1e-3, 0.03, gyro_scale=SCALE, accel_scale=SCALE),
+        ImuErrors(
+            ARW, VRW, 1e-3, 0.03, gyro_scale=SCALE, accel_scale=SCALE, gyro_axes=SCALE, accel_axes=SCALE
+        ),
         C_vb=guess,
         sigma_mounting=MOUNTING,
         gnss_lever_arm=LEVER,
@@ -82,9 +86,9 @@ def run(seed, wheel, place=(0.8, 0.2), fixes_hz=4.0, tick=0.0):
     e[st.ACCEL_BIAS] = x[st.X_BA : st.X_BA + 3]
     e[15] = x[st.X_KO] - odo_scale
     e[st.MOUNTING] = -rot.rotvec_from_quat(mounted)[[0, 2]]
-    e[st.GYRO_SCALE] = x[st.X_SG : st.X_SG + 3] - scale_g
-    e[st.ACCEL_SCALE] = x[st.X_SA : st.X_SA + 3] - scale_a
-    keep = [*range(18 if wheel else 15), *range(19, 25)]
+    e[st.GYRO_AXES] = x[st.X_MG : st.X_MG + 9] - axes_g.ravel()
+    e[st.ACCEL_AXES] = x[st.X_MA : st.X_MA + 9] - axes_a.ravel()
+    keep = [*range(18 if wheel else 15), *range(st.BASIC, st.FULL)]
     nis = {}
     for i in events:
         if isinstance(i, Innovation):

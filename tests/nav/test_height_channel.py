@@ -140,7 +140,7 @@ def test_covariance_of_the_feedback_is_the_twin(n):
     P = np.eye(n)
     P[: st.FULL, : st.FULL] = covariance(min(n, st.FULL)) if n <= st.FULL else covariance(st.FULL)
     if n > st.FULL:
-        P[28, 2] = P[2, 28] = 0.1
+        P[st.HEIGHT_A.start, 2] = P[2, st.HEIGHT_A.start] = 0.1
     gains = height_gains(3 if n == st.ALL else 2, 5.0)
     expected = feedback_readable(P, gains, 0.4, 0.02)
     feedback(P, *gains, 0.4, 0.02)

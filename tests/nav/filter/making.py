@@ -23,8 +23,9 @@ def nominal(lat=0.9, lon=0.3, wander=0.4, height=5000.0, v=(180.0, -90.0, 5.0), 
     x[st.X_QV : st.X_QV + 4] = rot.quat_from_rotvec(rng.normal(size=3))
     x[st.X_Q0 : st.X_Q0 + 4] = x[st.X_QV : st.X_QV + 4]
     x[st.X_BB] = 3.0
-    x[st.X_SG : st.X_SG + 3] = rng.normal(size=3) * 1e-3
-    x[st.X_SA : st.X_SA + 3] = rng.normal(size=3) * 1e-3
+    x[st.X_MG : st.X_MG + 9] = rng.normal(size=9) * 1e-3
+    x[st.X_MA : st.X_MA + 9] = rng.normal(size=9) * 1e-3
+    x[st.X_F0 : st.X_F0 + 3] = rng.normal(size=3) * 5.0
     x[st.X_W : st.X_W + 3] = rng.normal(size=3) * 0.1
     x[st.X_F : st.X_F + 3] = rng.normal(size=3) * 5.0
     x[st.X_A : st.X_A + 3] = rng.normal(size=3)
@@ -64,8 +65,8 @@ def difference(y, x):
     mu = rot.quat_multiply(y[st.X_QV : st.X_QV + 4], rot.quat_conjugate(x[st.X_QV : st.X_QV + 4]))
     e[st.MOUNTING] = -rot.rotvec_from_quat(mu)[[0, 2]]
     e[18] = y[st.X_BB] - x[st.X_BB]
-    e[st.GYRO_SCALE] = y[st.X_SG : st.X_SG + 3] - x[st.X_SG : st.X_SG + 3]
-    e[st.ACCEL_SCALE] = y[st.X_SA : st.X_SA + 3] - x[st.X_SA : st.X_SA + 3]
+    e[st.GYRO_AXES] = y[st.X_MG : st.X_MG + 9] - x[st.X_MG : st.X_MG + 9]
+    e[st.ACCEL_AXES] = y[st.X_MA : st.X_MA + 9] - x[st.X_MA : st.X_MA + 9]
     return e
 
 
@@ -73,7 +74,7 @@ def covariance(n, seed=0):
     """A full covariance with the scales of the states."""
     rng = np.random.default_rng(seed)
     scale = np.concatenate(
-        [[10] * 3, [1] * 3, [1e-2] * 3, [1e-3] * 3, [1e-2] * 3, [1e-2], [1e-2] * 2, [5.0], [1e-3] * 6]
+        [[10] * 3, [1] * 3, [1e-2] * 3, [1e-3] * 3, [1e-2] * 3, [1e-2], [1e-2] * 2, [5.0], [1e-3] * 18]
     )[:n]
     A = rng.normal(size=(n, n)) * scale[:, None]
     return A @ A.T

@@ -54,11 +54,12 @@ def dynamics(mid, y):
         mid[M_EN : M_EN + 3],
         tuple(mid[M_K : M_K + 3]),
         mid[M_G],
+        y[st.X_F0 : st.X_F0 + 3],
     )
 
 
 STEPS = np.concatenate(
-    [[2000.0] * 3, [3.0] * 3, [1e-4] * 3, [1e-4] * 3, [1e-3] * 3, [1e-3] * 3, [1.0], [1e-4] * 6]
+    [[2000.0] * 3, [3.0] * 3, [1e-4] * 3, [1e-4] * 3, [1e-3] * 3, [1e-3] * 3, [1.0], [1e-4] * 18]
 )
 
 
@@ -90,7 +91,7 @@ def test_errors_grow_as_the_model_says(k, law):
     Phi = np.eye(st.FULL) + F * DT + F @ F * (DT * DT / 2)
     # the model is that of the middle of the interval and of first order in the eccentricity for
     # dw/dh; rounding of the position matrix is 1e-9 m
-    scale = np.concatenate([[1e-6] * 3, [1e-6] * 3, [2e-9] * 3, np.full(16, 1e-12)])
+    scale = np.concatenate([[1e-6] * 3, [1e-6] * 3, [2e-9] * 3, np.full(st.FULL - 9, 1e-12)])
     bound = scale + 0.02 * np.abs(F * DT) @ np.abs(e)
     assert np.all(np.abs(grown - Phi @ start) <= bound)
 
@@ -107,7 +108,8 @@ def test_prediction_is_the_twin(n, turn):
     par[st.P_Q : st.P_Q + st.FULL] = np.linspace(1e-6, 1e-3, st.FULL)
     expected = predict_readable(P, dynamics(mid, y)[:n, :n], par[st.P_Q : st.P_Q + n], DT)
     work = np.zeros(WORK_SIZE)
-    predict(P, mid, y[st.X_W : st.X_W + 3], y[st.X_F : st.X_F + 3], DT, par, 1.0, 0.0, 0.0, work)
+    felt = y[st.X_F : st.X_F + 3] - y[st.X_F0 : st.X_F0 + 3]
+    predict(P, mid, y[st.X_W : st.X_W + 3], felt, DT, par, 1.0, 0.0, 0.0, work)
     d = np.sqrt(np.diag(expected))
     assert np.max(np.abs(P - expected) / np.outer(d, d)) < 1e-12
     np.testing.assert_array_equal(P, P.T)

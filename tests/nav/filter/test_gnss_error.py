@@ -31,7 +31,7 @@ def test_it_keeps_its_sigma_and_forgets_with_its_time():
     x, par = nominal(v=(0.0, 0.0, 0.0)), parameters(CONFIG)
     P, work = np.zeros((st.RECEIVER, st.RECEIVER)), np.zeros(WORK_SIZE)
     P[st.GNSS, st.GNSS] = STEADY
-    P[0, 25] = P[25, 0] = -0.09
+    P[0, st.GNSS.start] = P[st.GNSS.start, 0] = -0.09
     x[st.X_GB : st.X_GB + 3] = 1.0
     for _ in range(500):
         propagate(x, P, par, work, row())
@@ -39,7 +39,7 @@ def test_it_keeps_its_sigma_and_forgets_with_its_time():
     # steps of first order: (dt / tau) times what is lost in the time
     np.testing.assert_allclose(P[st.GNSS, st.GNSS], STEADY, rtol=1e-3, atol=1e-12)
     np.testing.assert_allclose(x[st.X_GB : st.X_GB + 3], left, rtol=1e-4)
-    assert P[0, 25] == pytest.approx(-0.09 * left, rel=1e-4)
+    assert P[0, st.GNSS.start] == pytest.approx(-0.09 * left, rel=1e-4)
     np.testing.assert_array_equal(P, P.T)
 
 
@@ -56,7 +56,7 @@ def test_a_fix_is_off_by_it():
     # differences of positions at 6400 km are good to 1e-9 m
     assert residual[1] - residual[0] == pytest.approx(0.25, abs=1e-8)
     dx = np.zeros(st.RECEIVER)
-    dx[25:28] = 0.1, 0.2, 0.3
+    dx[st.GNSS] = 0.1, 0.2, 0.3
     x = nominal()
     correct(x, dx)
     np.testing.assert_allclose(x[st.X_GB : st.X_GB + 3], [-0.1, -0.2, -0.3])

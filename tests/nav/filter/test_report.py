@@ -51,25 +51,15 @@ def test_velocity_and_attitude_vary_together_as_it_says():
     assert np.max(np.abs(solution_covariance(x, P, par)[3:, 3:] - expected)) < 1e-3 * scale
 
 
-def test_motion_adds_what_scale_and_axes_do_to_it():
-    """A turn adds variance about its axis only, a change of speed to every velocity."""
-    par = np.zeros(st.P_SIZE)
-    par[st.P_TURN], par[st.P_PUSH] = 4e-10, 2e-6
-    P = np.zeros((st.BASIC, st.BASIC))
-    x = nominal(seed=2, v=(0.0, 0.0, 0.0))
-    x[st.X_BG : st.X_BG + 3] = x[st.X_BA : st.X_BA + 3] = 0.0
-    work = np.zeros(WORK_SIZE)
-    increments = np.zeros(row_size(2))
-    increments[ROW_DT], increments[ROW_NOISE], increments[ROW_N] = 0.02, 1.0, 2
-    axis_b, pushed = np.array([0.0, 0.0, 1.0]), 0.0
-    for _ in range(50):
-        increments[ROW_D + 2] = increments[ROW_D + 5] = 0.005
-        increments[ROW_D + 8] = increments[ROW_D + 11] = 0.1
-        propagate(x, P, par, work, increments)
-        pushed += np.linalg.norm(x[st.X_A : st.X_A + 3]) * 0.02
-    # half a radian about an axis that stays where it is; Earth rate is 7e-5 / 0.5 of it
-    axis_n = rot.dcm_from_quat(x[:4]) @ axis_b
-    expected = par[st.P_TURN] * 0.5 * np.outer(axis_n, axis_n)
-    np.testing.assert_allclose(P[st.PHI, st.PHI], expected, atol=2e-3 * par[st.P_TURN] * 0.5)
-    # phi reaches velocity by the force within the second: less than a hundredth of the push's share
-    np.testing.assert_allclose(np.diag(P)[st.VELOCITY], par[st.P_PUSH] * pushed, rtol=1e-2)
+def test_axes_of_accelerometers_make_nothing_of_the_force_at_rest():
+    """What they make of gravity is in the bias that was found at rest; a force beside it shows them."""
+    row = np.zeros(row_size(2))
+    row[ROW_DT], row[ROW_NOISE], row[ROW_N] = 0.02, 1.0, 2
+    x, par = nominal(seed=2), np.zeros(st.P_SIZE)
+    axes = np.eye(3) + x[st.X_MA : st.X_MA + 9].reshape(3, 3)
+    rest, bias = x[st.X_F0 : st.X_F0 + 3], x[st.X_BA : st.X_BA + 3]
+    for beside in (np.zeros(3), np.array([1.0, -2.0, 0.5])):
+        y = x.copy()
+        row[ROW_D + 6 : ROW_D + 9] = row[ROW_D + 9 : ROW_D + 12] = 0.01 * (rest + axes @ beside + bias)
+        propagate(y, np.zeros((st.FULL, st.FULL)), par, np.zeros(WORK_SIZE), row)
+        np.testing.assert_allclose(y[st.X_F : st.X_F + 3], rest + beside, rtol=1e-12)
