@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
 from pathlib import Path
 from typing import Any, Final
 
@@ -71,8 +70,9 @@ def run(args: argparse.Namespace) -> int:
     """Fly all runs and print the table; exit status 1 when it does not agree."""
     from bridge.studies import consistency as of
     from bridge.studies.campaign import run_consistency, run_static
+    from bridge.studies.workers import on_terminal
 
-    progress = _progress if sys.stderr.isatty() else None
+    progress = on_terminal()
     if args.campaign == "static":
         still = run_static(
             args.scenario, args.runs, seed_base=args.seed_base, jobs=args.jobs, progress=progress
@@ -97,7 +97,3 @@ def run(args: argparse.Namespace) -> int:
 
 def _print(args: argparse.Namespace, lines: list[str], document: dict[str, Any]) -> None:
     print(json.dumps(document, indent=2) if args.json else "\n".join(lines), flush=True)
-
-
-def _progress(done: int, runs: int) -> None:
-    print(f"\r{done} of {runs} runs", end="\n" if done == runs else "", file=sys.stderr, flush=True)

@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from bridge import arguments
 from bridge.errors import ConfigError
 
 
@@ -23,6 +24,12 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
     )
     parser.add_argument("name", metavar="NAME", nargs="?", help="which figure (default: list them)")
     parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument(
+        "--runs", metavar="N", type=arguments.whole(2), help="of a figure of random runs (default: its own)"
+    )
+    parser.add_argument(
+        "--jobs", metavar="N", type=arguments.whole(1), help="processes for these (default: all CPUs)"
+    )
     parser.add_argument("--out", metavar="FILE.png", help="draw the figure")
     return parser
 
@@ -30,6 +37,7 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
 def run(args: argparse.Namespace) -> int:
     """List the figures, or print one; exit status 1 when it is outside its tolerance."""
     from bridge.studies.figures import FIGURES, load
+    from bridge.studies.workers import on_terminal
 
     if args.name is None:
         if args.out is not None:
@@ -38,12 +46,19 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if args.name not in FIGURES:
         raise ConfigError(f'no figure "{args.name}"; expected one of {", ".join(FIGURES)}')
+    runs = FIGURES[args.name].runs
+    if not runs and (args.runs or args.jobs):
+        raise ConfigError(f"--runs, --jobs: {args.name} has no random runs")
     path = None if args.out is None else Path(args.out)
     if path is not None:
         # some figures take a minute: say what cannot be written before, not after
         _writable(path)
     figure = load(args.name)
-    result = figure.compute()
+    options: dict[str, Any] = {}
+    if runs:
+        jobs = args.jobs or os.cpu_count() or 1
+        options = {"runs": args.runs or runs, "jobs": jobs, "progress": on_terminal()}
+    result = figure.compute(**options)
     text = (
         json.dumps(result.document(), indent=2)
         if args.json

@@ -202,8 +202,11 @@ def drive(
     return Trajectory(Profile(blends, heading), vehicle, lat, lon, height)
 
 
-def road(kind: str, seconds: float, speed: float = 5.0) -> list[Manoeuvre]:
-    """Twenty seconds to get going, then ``seconds`` of a nearly straight or of a winding road."""
+def road(kind: str, seconds: float, speed: float = 5.0, steady: bool = True) -> list[Manoeuvre]:
+    """Twenty seconds to get going, then ``seconds`` of a nearly straight or of a winding road.
+
+    ``speed`` m/s is kept on the straight one where ``steady``; else either has stretches of 1.6 times that.
+    """
     begin: list[Manoeuvre] = [
         Static(duration_s=5.0),
         Accelerate(duration_s=10.0, speed_m_s=speed),
@@ -211,7 +214,8 @@ def road(kind: str, seconds: float, speed: float = 5.0) -> list[Manoeuvre]:
     ]
     part: list[Manoeuvre]
     if kind == "straight":
-        part = [STurns(duration_s=60.0, angle_deg=5.0, count=1), Cruise(duration_s=60.0)]
+        part = [STurns(duration_s=60.0, angle_deg=5.0, count=1)]
+        part += [Cruise(duration_s=60.0)] if steady else _faster(speed, 48.0)
     else:
         part = [
             Turn(duration_s=12.0, angle_deg=90.0),
@@ -225,6 +229,11 @@ def road(kind: str, seconds: float, speed: float = 5.0) -> list[Manoeuvre]:
         ]
     one = sum(m.duration_s for m in part)
     return [*begin, *part * math.ceil((seconds + 5.0) / one)]
+
+
+def _faster(speed: float, seconds: float) -> list[Manoeuvre]:
+    faster, back = (Accelerate(duration_s=6.0, speed_m_s=k * speed) for k in (1.6, 1.0))
+    return [faster, Cruise(duration_s=seconds), back]
 
 
 def stops(speed: float = 14.0, drive_s: float = 150.0, stop_s: float = 10.0) -> list[Manoeuvre]:

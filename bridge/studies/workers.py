@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import sys
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import TypeVar
@@ -30,3 +31,12 @@ def each(one: Callable[[Item], Found], items: Collection[Item], jobs: int) -> It
         finally:
             for future in waiting:
                 future.cancel()
+
+
+def on_terminal() -> Progress | None:
+    """Counts on the standard error what is done, where that is a terminal."""
+
+    def show(done: int, whole: int) -> None:
+        print(f"\r{done} of {whole} runs", end="\n" if done == whole else "", file=sys.stderr, flush=True)
+
+    return show if sys.stderr.isatty() else None

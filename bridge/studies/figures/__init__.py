@@ -13,11 +13,15 @@ from bridge.studies.figures.result import Compute, Draw
 
 
 class Figure(NamedTuple):
-    """Where a figure lives, what it reproduces in a line, and of which document."""
+    """Where a figure lives, what it reproduces in a line, and of which document.
+
+    ``runs``, where not 0, is how many random runs it makes unless told otherwise.
+    """
 
     module: str
     summary: str
     source: str
+    runs: int = 0
 
 
 class FigureModule(Protocol):
@@ -28,6 +32,12 @@ class FigureModule(Protocol):
 
 
 FIGURES: Final[dict[str, Figure]] = {
+    "alignment": Figure(
+        "bridge.studies.figures.alignment",
+        "heading after every alignment, at rest, swaying and on the road, against print and theory",
+        "Yan Gongmin 2008, chapters 2 to 4",
+        200,
+    ),
     "coning": Figure(
         "bridge.studies.figures.coning",
         "coefficients and drift of the one- to five-sample coning algorithms; sculling",

@@ -15,6 +15,7 @@ class Row(NamedTuple):
     give, both in ``unit``. ``tolerance`` says in words what is asked; ``passed`` whether it is met, None
     for a row that is only shown. ``why`` explains a published number that is not reproduced. ``exact`` is a
     closed form, where there is one: a row whose published number is a misprint is judged by it.
+    ``interval`` holds, of a number that is itself a spread of random runs, the true one in 95 of 100 cases.
     """
 
     name: str
@@ -25,6 +26,7 @@ class Row(NamedTuple):
     unit: str
     why: str = ""
     exact: float | None = None
+    interval: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,17 +56,20 @@ class Result:
     def lines(self) -> list[str]:
         """A table for people."""
         reasons: list[str] = []
-        cells = [("", "published", "closed form", "ours", "unit", "", "asked")]
+        cells = [("", "published", "closed form", "ours", "95 %", "unit", "", "asked")]
         for row in self.rows:
             mark = {True: "ok", False: "OUTSIDE", None: ""}[row.passed]
             if row.why:
                 if row.why not in reasons:
                     reasons.append(row.why)
                 mark = f"{mark} [{reasons.index(row.why) + 1}]".strip()
-            values = (_number(row.published), _number(row.exact), _number(row.ours))
-            cells.append((row.name, *values, row.unit, mark, row.tolerance))
-        keep = [k for k in range(7) if any(row[k] for row in cells[1:])]
-        width = [max(len(row[k]) for row in cells) for k in range(7)]
+            # of a number that scatters three digits tell all
+            ours = _number(row.ours) if row.interval is None else f"{row.ours:.3g}"
+            values = (_number(row.published), _number(row.exact), ours)
+            between = "" if row.interval is None else "{:.3g} to {:.3g}".format(*row.interval)
+            cells.append((row.name, *values, between, row.unit, mark, row.tolerance))
+        keep = [k for k in range(8) if any(row[k] for row in cells[1:])]
+        width = [max(len(row[k]) for row in cells) for k in range(8)]
         lines = [self.title, ""]
         for cell in cells:
             # numbers to the right, words to the left
@@ -81,8 +86,8 @@ class Result:
 class Compute(Protocol):
     """Find the numbers of a figure."""
 
-    def __call__(self) -> Result:
-        """Take from a second to a minute."""
+    def __call__(self, **options: Any) -> Result:
+        """Take from a second to a minute; random runs are told ``runs``, ``jobs``, ``progress``."""
 
 
 class Draw(Protocol):
