@@ -1,4 +1,4 @@
-"""What disturbs apparent velocity: sway averaged out, how rough the rest is, and a stuck accelerometer."""
+"""What disturbs apparent velocity: sway averaged out, and how rough the rest is."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from nav.types import Vector
 EPOCHS: Final = 16  # differences that count as the present
 NEAR, FAR = 2, 4  # epochs between those that a difference takes
 GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)
-STUCK_S: Final = 2.0
-_AXES: Final = ("right", "forward", "up")
 
 
 class Roughness(NamedTuple):
@@ -103,41 +101,3 @@ def weigh(sums: Vector, begin: float, length: float, t: float, values: Vector) -
     sums[2] += w * since * since
     for i in range(values.shape[0]):
         sums[3 + i] += w * values[i]
-
-
-class Held(NamedTuple):
-    """How long each accelerometer has said the same; arrays are used up."""
-
-    last: Vector  # (3,)
-    seconds: Vector  # (3,)
-
-
-def held() -> Held:
-    """Before the first sample."""
-    return Held(np.zeros(3), np.zeros(3))
-
-
-@kernel
-def hold(last: Vector, seconds: Vector, dv: Vector, dt: float, limit: float) -> int:
-    """Count how long each accelerometer (3,) has said the same; the one that is stuck, or -1."""
-    stuck, alive = -1, False
-    for i in range(3):
-        seconds[i] = seconds[i] + dt if dv[i] == last[i] else 0.0
-        last[i] = dv[i]
-        if seconds[i] <= limit:
-            alive = True
-        elif dv[i] != 0.0:
-            # no pulses at all are what a level axis of a coarse instrument gives
-            stuck = i
-    return stuck if alive else -1
-
-
-def stuck(state: Held, dv: Vector, dt: float) -> str | None:
-    """Which accelerometer has said exactly the same for too long while others did not, in words."""
-    axis = hold(state.last, state.seconds, dv, dt, STUCK_S)
-    return None if axis < 0 else stuck_words(axis)
-
-
-def stuck_words(axis: int) -> str:
-    """What to say of the accelerometer of an axis (0, 1, 2)."""
-    return f"the {_AXES[axis]} accelerometer is stuck"

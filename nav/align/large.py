@@ -18,26 +18,25 @@ from nav.align.large_bank import ALPHA, DRIFT, SIZE, VEL, Bank, Mean, Noise, lev
 from nav.align.static import (
     PATIENCE_S,
     SIGMAS,
+    SMALL,
     SOMEWHERE,
     UNKNOWN,
     implausible,
     limits,
     lost,
     nav_init,
+    not_gravity,
     place_of,
     sensitivities,
     sigma_of_place,
 )
 from nav.align.still import PUSHED, Block, Standing, Still, standing
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
-from nav.earth import normal_gravity
 from nav.filter.ukf import Points, symmetric_points
 from nav.rotation import quat_from_dcm, rotvec_from_quat
 from nav.types import Vector
 
 TILT: Final = math.radians(2.0)  # how far the force of one block may be from the vertical on a swaying base
-SMALL: Final = math.radians(2.0)  # of azimuth, beside what the drifts explain
-HEIGHTS: Final = 0.005  # m/s^2, what a height may be wrong by in gravity
 _ZERO: Final = np.zeros(3)
 
 
@@ -62,7 +61,7 @@ def _work(state: Standing[Large], block: Block) -> tuple[Standing[Large], str | 
         return state, lost(config, state.still)
     reason = None
     if own.bank is None:
-        reason = _against_gravity(config, place, float(np.linalg.norm(block.dv)), dt)
+        reason = not_gravity(config, block.dv, dt, place[0], place[2])
         if reason is not None:
             return state, reason
         C = levelled(np.eye(3), block.dv) @ block.rotation
@@ -76,20 +75,6 @@ def _work(state: Standing[Large], block: Block) -> tuple[Standing[Large], str | 
             reason = f"the vehicle moves: {speed:.2f} m/s against a standstill"
     state = state._replace(own=own._replace(bank=bank))
     return (state, reason) if reason is not None else _judge(state, bank, mean(bank))
-
-
-def _against_gravity(
-    config: AlignConfig, place: tuple[float, float, float], push: float, dt: float
-) -> str | None:
-    """Why a block of ``dt`` s that adds ``push`` m/s to the velocity is not one of rest, or None."""
-    force, gravity = push / dt, normal_gravity(math.sin(place[0]), place[2])
-    slack = SIGMAS * math.hypot(config.accel_bias, 2.0 * config.sway / dt) + HEIGHTS
-    if abs(force - gravity) <= slack:
-        return None
-    return (
-        f"the specific force is {force:.4f} m/s^2 where gravity is {gravity:.4f}: "
-        "an accelerometer is stuck, or calibration or latitude are wrong"
-    )
 
 
 def _judge(state: Standing[Large], bank: Bank, found: Mean) -> tuple[Standing[Large], str | None]:

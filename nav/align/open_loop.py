@@ -11,7 +11,8 @@ The source fits tilt (2-130) and angle (2-131) apart, so a vehicle that settles 
 Earth rate. Here what the gyros saw of its motion is taken off the tilt first: phi - theta is the line a t + b
 however it moved, so v/g less the integral of theta is a parabola; a least-squares fit to that, rather than
 to its derivative, lets sway average out. The slope is -kappa: azimuth, eq. (2-135). The tilt of the last
-moment is the line's plus theta's, eqs. (2-133) and (2-134).
+moment is the line's plus theta's, eqs. (2-133) and (2-134). The coarse attitude counts by its noise beside:
+the constant errors of the two are the same, eq. (2-104).
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ class Lines(NamedTuple):
 
     given: NavInit
     C: Vector  # C_gb (3, 3), held
+    noise: Vector  # (3, 3) rad^2, of phi beside what constant errors make of it
     v: Vector  # (3,) m/s
     theta: Vector  # (3,) rad
     area: Vector  # (3,) rad s, integral of theta
@@ -58,7 +60,10 @@ def init(config: AlignConfig, given: NavInit | None) -> Standing[Lines]:
     """Begin from the coarse stage's attitude."""
     assert given is not None
     zeros = (np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(5), np.zeros((3, 2)), np.zeros(2))
-    return go_on(config, given, Lines(given, dcm_from_quat(given.q_gb), *zeros))
+    C = dcm_from_quat(given.q_gb)
+    constant = with_constants(config, C, given.lat, given.height, np.zeros((3, 3)))
+    noise = given.P_phi - constant[3:6, 3:6]
+    return go_on(config, given, Lines(given, C, noise, *zeros))
 
 
 def _work(state: Standing[Lines], block: Block) -> tuple[Standing[Lines], str | None]:
@@ -94,31 +99,42 @@ def _fit(state: Standing[Lines]) -> tuple[Standing[Lines], str | None]:
     left = np.sqrt(np.maximum(own.squares - np.sum(p * own.sums, axis=0), 0.0) / own.blocks)
     start = p[1] / _UNIT  # the lines' b, of east and north
     slope = 2.0 * p[2] / _UNIT**2  # their a
-    mean = start + 0.5 * T * slope + own.area[:2] / T  # of the tilt, on which kappa depends
+    tilt = start + 0.5 * T * slope + own.area[:2] / T  # its mean, on which kappa depends
     phi = np.empty(3)
     phi[:2] = start + T * slope + own.theta[:2]
-    phi[2] = (mean[1] * w[2] - slope[0]) / w[1]
+    phi[2] = (tilt[1] * w[2] - slope[0]) / w[1]
     # that is the mean azimuth
-    phi[2] += own.theta[2] - own.area[2] / T + 0.5 * T * mean[0] * w[1]
+    phi[2] += own.theta[2] - own.area[2] / T + 0.5 * T * tilt[0] * w[1]
     each = _covariance(config, own.blocks, T, g)
     J = np.zeros((3, 4))  # by slope and end, of east and of north
     J[0, 1], J[1, 3], J[2, 0], J[2, 3] = 1.0, 1.0, -1.0 / w[1], w[2] / w[1]
     noise = J @ np.kron(np.eye(2), each) @ J.T
     noise[2, 2] += (0.5 * T * config.gyro_bias) ** 2 + config.angle_random_walk**2 * T
+    # the coarse attitude, by the gyros now, has the same constant errors and other noise
+    coarse = own.noise + np.eye(3) * ((T * config.gyro_bias) ** 2 + config.angle_random_walk**2 * T)
+    apart, S = own.theta - phi, noise + coarse
+    gain = np.linalg.solve(S, noise).T
+    phi += gain @ apart
+    noise -= gain @ noise
     C = dcm_from_quat(quat_from_rotvec(phi)) @ own.C
     P = with_constants(config, C, given.lat, given.height, noise)
     expected = math.hypot(config.sway, config.velocity_random_walk * math.sqrt(T)) / g
     expected += config.angle_random_walk * T**1.5
     reason = None
-    coarse = config.velocity_random_walk**2 / config.coarse_s + 2.0 * (config.sway / config.coarse_s) ** 2
-    level = max(TILTED, SIGMAS * math.sqrt(each[1, 1] + coarse / g**2))
-    odd = slope[1] + mean[0] * w[2]
+    mean = config.velocity_random_walk**2 / config.coarse_s + 2.0 * (config.sway / config.coarse_s) ** 2
+    level = max(TILTED, SIGMAS * math.sqrt(each[1, 1] + mean / g**2))
+    odd = slope[1] + tilt[0] * w[2]
     off = float(np.max(np.abs(start)))
     slack = math.hypot(config.gyro_bias, math.sqrt(each[0, 0]), config.accel_bias / g * w[2])
     if float(np.max(left)) > max(SIGMAS * expected, MOVED / g):
         reason = f"the vehicle moves: {g * float(np.max(left)):.2f} m/s off a standstill"
     elif off > level:
         reason = f"the level differs by {math.degrees(off):.2f} deg from the coarse one"
+    elif abs(apart[2]) > SIGMAS * math.sqrt(S[2, 2]):
+        reason = (
+            f"azimuth by the drift of the level is {math.degrees(apart[2]):.2f} deg off the coarse one: "
+            "the vehicle moves, or a sensor drifts"
+        )
     elif abs(odd) > SIGMAS * slack:
         reason = (
             f"by the accelerometers the level drifts by {math.degrees(odd) * 3600:.2f} deg/h that the gyros "

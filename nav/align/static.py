@@ -18,15 +18,18 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nav.align import still as watch
+from nav.align.drift import FEWEST
 from nav.align.handover import Place, hand_over, imu_place
 from nav.align.still import Block, Own, Standing, Still
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import EARTH_RATE, earth_rate_g, gravity_g, normal_gravity
-from nav.rotation import dcm_from_quat, quat_from_dcm
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec
 from nav.types import Sample, Vector
 
 SIGMAS: Final = 6.0
 BLIND: Final = 0.3  # of the horizontal Earth rate: gyros worse than this cannot find heading
+SMALL: Final = math.radians(2.0)  # of azimuth, beside what the drifts explain
+HEIGHTS: Final = 0.005  # m/s^2, what a height may be wrong by in gravity
 PATIENCE_S: Final = 60.0  # seconds to wait for a position after the coarse stage
 SOMEWHERE: Final = (0.8, 0.0)  # latitude rad and height m to say a limit for before they are known
 UNKNOWN: Final = np.diag([1.0, 1.0, math.pi**2])  # rad^2, of an attitude that may be anything
@@ -59,11 +62,11 @@ Coarse = Standing[None]
 class Meaning(NamedTuple):
     """What means over a standstill are taken for.
 
-    ``against`` what contradicts them at a latitude, or None; ``solve`` the attitude C_gb (3, 3) and
+    ``against`` what contradicts them at latitude and height, or None; ``solve`` the attitude C_gb (3, 3) and
     covariance (3, 3) of phi at latitude and height, or None; ``limit`` what cannot be beaten there.
     """
 
-    against: Callable[[AlignConfig, Still, float], str | None]
+    against: Callable[[AlignConfig, Still, float, float], str | None]
     solve: Callable[[AlignConfig, Still, float, float], tuple[Vector, Vector] | None]
     limit: Callable[[AlignConfig, float, float], Vector]
 
@@ -84,9 +87,9 @@ def average(meaning: Meaning) -> Callable[[Coarse, Sample], tuple[Coarse, AlignS
             return state, lost(config, still)
         lat, _, height = place
         ready = still.seconds >= config.coarse_s - 0.5 * watch.BLOCK_S
-        reason = meaning.against(config, still, lat) if ready else None
+        reason = meaning.against(config, still, lat, height) if ready else None
         estimate, covariance = None, UNKNOWN.copy()
-        if still.blocks > 1 and reason is None:
+        if (ready or still.line.averages >= FEWEST) and reason is None:
             solved = meaning.solve(config, still, lat, height)
             if solved is not None:
                 estimate, covariance = quat_from_dcm(solved[0]), solved[1]
@@ -131,17 +134,36 @@ def implausible(config: AlignConfig, still: Still, lat: float) -> str | None:
 
 
 def turning(config: AlignConfig, still: Still, lat: float) -> str | None:
-    """Whether the mean rate about the vertical is Earth's; where not, the words to say so."""
+    """Whether the mean rates about the vertical and the level are Earth's; where not, the words to say so."""
     north, up = EARTH_RATE * math.cos(lat), EARTH_RATE * math.sin(lat)
-    sigma = math.hypot(config.gyro_bias, config.angle_random_walk / math.sqrt(still.seconds))
-    seen = float(still.rate @ still.force / np.linalg.norm(still.force))
-    slack = SIGMAS * sigma + 2.0 * north * config.accel_bias / 9.8
-    if abs(seen - up) > slack:
+    drift, covariance = watch.mean_rate(still, config)
+    vertical = still.force / np.linalg.norm(still.force)
+    seen = float(drift.rate @ vertical)
+    sigma = math.sqrt(config.gyro_bias**2 + float(vertical @ covariance @ vertical))
+    if abs(seen - up) > SIGMAS * sigma + 2.0 * north * config.accel_bias / 9.8:
         return (
             f"the vertical rate is {math.degrees(seen) * 3600:.2f} deg/h where Earth's is "
             f"{math.degrees(up) * 3600:.2f}: the vehicle turns, or calibration or latitude are wrong"
         )
+    level = float(np.linalg.norm(drift.rate - seen * vertical))
+    sigma = math.sqrt(config.gyro_bias**2 + float(np.max(np.linalg.eigvalsh(covariance))))
+    if abs(level - north) > SIGMAS * sigma + 2.0 * EARTH_RATE * config.accel_bias / 9.8:
+        return (
+            f"the level rate is {math.degrees(level) * 3600:.2f} deg/h where Earth's is "
+            f"{math.degrees(north) * 3600:.2f}: the vehicle turns, or calibration or latitude are wrong"
+        )
     return None
+
+
+def not_gravity(config: AlignConfig, push: Vector, seconds: float, lat: float, height: float) -> str | None:
+    """Why a velocity increment (3,) m/s over ``seconds`` is not one of rest, or None."""
+    gravity, force = normal_gravity(math.sin(lat), height), float(np.linalg.norm(push)) / seconds
+    if abs(force - gravity) <= SIGMAS * math.hypot(config.accel_bias, 2.0 * config.sway / seconds) + HEIGHTS:
+        return None
+    return (
+        f"the specific force is {force:.4f} m/s^2 where gravity is {gravity:.4f}: "
+        "an accelerometer is stuck, or calibration or latitude are wrong"
+    )
 
 
 def triad(force: Vector, rate: Vector, lat: float, height: float) -> Vector:
@@ -173,7 +195,9 @@ def coarse_covariance(config: AlignConfig, C_gb: Vector, lat: float, height: flo
     by_rate, by_force = sensitivities(lat, height)
     # a mean force is off by the velocity that it begins and ends with
     force = config.velocity_random_walk**2 / still.seconds + 2.0 * (config.sway / still.seconds) ** 2
-    noise = by_rate @ C_gb @ watch.rate_covariance(still, config) @ C_gb.T @ by_rate.T
+    # what is no mean rate has turned the vehicle since the middle, too
+    turned = by_rate + 0.5 * still.seconds * np.eye(3)
+    noise = turned @ C_gb @ watch.rate_covariance(still, config) @ C_gb.T @ turned.T
     return with_constants(config, C_gb, lat, height, noise + by_force @ by_force.T * force)
 
 
@@ -192,7 +216,7 @@ def with_constants(config: AlignConfig, C_gb: Vector, lat: float, height: float,
     eps2, nab2 = config.gyro_bias**2, config.accel_bias**2
     P = np.zeros((12, 12))
     P[_VEL, _VEL] = np.eye(3) * config.sway**2
-    P[_PHI, _PHI] = noise + by_rate @ by_rate.T * eps2 + by_force @ by_force.T * nab2
+    P[_PHI, _PHI] = 0.5 * (noise + noise.T) + by_rate @ by_rate.T * eps2 + by_force @ by_force.T * nab2
     P[_PHI, _PHI] += np.eye(3) * 1e-14
     P[_PHI, _EPS] = by_rate @ C_gb * eps2
     P[_PHI, _NAB] = by_force @ C_gb * nab2
@@ -201,23 +225,43 @@ def with_constants(config: AlignConfig, C_gb: Vector, lat: float, height: float,
     return P
 
 
+def attitude(config: AlignConfig, still: Still, lat: float, height: float) -> tuple[Vector, Vector]:
+    """C_gb (3, 3) of a standing IMU at the last block's end, and the covariance (12, 12)."""
+    drift, _ = watch.mean_rate(still, config)
+    C = triad(still.force, drift.rate, lat, height) @ dcm_from_quat(quat_from_rotvec(drift.now))
+    return C, coarse_covariance(config, C, lat, height, still)
+
+
 def _by_triad(config: AlignConfig, still: Still, lat: float, height: float) -> tuple[Vector, Vector]:
-    C = triad(still.force, still.rate, lat, height)
-    return C, coarse_covariance(config, C, lat, height, still)[_PHI, _PHI]
+    C, P = attitude(config, still, lat, height)
+    return C, P[_PHI, _PHI]
+
+
+def _against(config: AlignConfig, still: Still, lat: float, height: float) -> str | None:
+    reason = not_gravity(config, still.force * still.seconds, still.seconds, lat, height)
+    reason = reason or implausible(config, still, lat)
+    if reason is not None:
+        return reason
+    sigma = math.sqrt(attitude(config, still, lat, height)[1][5, 5])
+    if sigma < math.hypot(SMALL, 1.5 * limit_of_means(config, lat, height)[2]):
+        return None
+    return (
+        f"azimuth is known to {math.degrees(sigma):.1f} deg only after {still.seconds:.0f} s: "
+        "the vehicle turned a little, or sways"
+    )
 
 
 def coarse_finish(state: Coarse) -> NavInit:
-    """Attitude by `triad`; the place is the antenna's still."""
+    """Attitude at the last sample; the place is the antenna's still."""
     config, still = state.config, state.still
     place = place_of(config, still)
     assert place is not None
-    C = triad(still.force, still.rate, place[0], place[2])
-    P = coarse_covariance(config, C, place[0], place[2], still)
+    C, P = attitude(config, still, place[0], place[2])
     return nav_init(config, still.t_ns, place, sigma_of_place(config, still), C, np.zeros(12), P)
 
 
 def analytic_finish(state: Coarse) -> NavInit:
-    """Attitude by `triad`, and the place of the IMU."""
+    """Attitude at the last sample, and the place of the IMU."""
     return at_its_place(state.config, state.still, coarse_finish(state))
 
 
@@ -292,8 +336,8 @@ def limit_of_means(config: AlignConfig, lat: float, height: float) -> Vector:
 
 
 COARSE: Final = Stage(
-    init=coarse_init, step=average(Meaning(implausible, _by_triad, _of_both)), finish=coarse_finish
+    init=coarse_init, step=average(Meaning(_against, _by_triad, _of_both)), finish=coarse_finish
 )
 ANALYTIC: Final = Stage(
-    init=coarse_init, step=average(Meaning(implausible, _by_triad, limit_of_means)), finish=analytic_finish
+    init=coarse_init, step=average(Meaning(_against, _by_triad, limit_of_means)), finish=analytic_finish
 )

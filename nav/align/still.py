@@ -8,7 +8,8 @@ from typing import Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from nav.align.disturbance import STUCK_S, hold, stuck_words
+from nav.align import drift
+from nav.align.drift import Drift, Line
 from nav.align.level import gnss_speed
 from nav.align.preintegrate import DT, SIZE, R, V, empty, extend, sample_piece
 from nav.align.types import AlignConfig, AlignStatus
@@ -26,12 +27,10 @@ _SATURATED: Final = int(ImuFlag.SATURATED)
 _ZERO: Final = np.zeros(3)
 _TURN: Final = slice(SIZE, SIZE + 3)  # rad, sum of the angle increments of a block, behind its piece
 _PUSH: Final = slice(SIZE + 3, SIZE + 6)  # m/s, likewise
-_LAST: Final = slice(SIZE + 6, SIZE + 9)  # m/s, the last sample's velocity increment
-_HELD: Final = slice(SIZE + 9, SIZE + 12)  # s, how long each accelerometer has said the same
-_STUCK: Final = SIZE + 12  # the accelerometer that is stuck, or -1
-_NOTHING: Final = np.concatenate([empty(), np.zeros(12), [-1.0]])
+_AREA: Final = slice(SIZE + 6, SIZE + 9)  # rad s, integral of the turn
+_LATE: Final = slice(SIZE + 9, SIZE + 12)  # rad s^2, of it times the time in the block
+_NOTHING: Final = np.concatenate([empty(), np.zeros(12)])
 _NO_BIASES: Final = np.zeros(6)
-_NO_SCATTER: Final = np.zeros((2, 3, 3))
 _NOWHERE: Final = np.full(3, math.inf)
 
 
@@ -47,18 +46,17 @@ class Still(NamedTuple):
     sigma_place: Vector = _NOWHERE
     fixes: int = 0
     anchor: GnssFix | None = None
-    last_turn: Vector = _ZERO  # of the last closed block about the mean before it, rad
-    scatter: Vector = _NO_SCATTER  # sums of such turns' squares, and of products with the one before, rad^2
+    line: Line = Line()  # through the angles
     blocks: int = 0
 
 
 def add(still: Still, sample: ImuSample, gyro_bias: Vector, accel_bias: Vector) -> Still:
     """Add an inertial sample to the open block."""
     t_ns, dt, dtheta, dv, _, _ = sample
-    before, rate, force, seconds, _, place, sigma_place, fixes, anchor, turn, scatter, blocks = still
-    longer = np.empty(SIZE + 13)
+    before, rate, force, seconds, _, place, sigma_place, fixes, anchor, line, blocks = still
+    longer = np.empty(len(before))
     _lengthen(before, dtheta, dv, dt, gyro_bias, accel_bias, _ZERO, longer)
-    return Still(longer, rate, force, seconds, t_ns, place, sigma_place, fixes, anchor, turn, scatter, blocks)
+    return Still(longer, rate, force, seconds, t_ns, place, sigma_place, fixes, anchor, line, blocks)
 
 
 @kernel
@@ -78,11 +76,11 @@ def _lengthen(
     out[:] = before
     extend(out, piece, zero, zero)
     for i in range(3):
+        middle = (out[SIZE + i] + 0.5 * dtheta[i]) * dt
+        out[SIZE + 6 + i] += middle
+        out[SIZE + 9 + i] += middle * (before[DT] + 0.5 * dt) + dtheta[i] * dt * dt / 12.0
         out[SIZE + i] += dtheta[i]
         out[SIZE + 3 + i] += dv[i]
-    out[SIZE + 12] = max(
-        out[SIZE + 12], hold(out[SIZE + 6 : SIZE + 9], out[SIZE + 9 : SIZE + 12], dv, dt, STUCK_S)
-    )
 
 
 def full(still: Still) -> bool:
@@ -98,12 +96,8 @@ def close(still: Still, config: AlignConfig) -> tuple[Still, str | None]:
     """
     dt = float(still.block[DT])
     turned, pushed = still.block[_TURN], still.block[_PUSH]
-    reason = None if still.block[_STUCK] < 0.0 else stuck_words(int(still.block[_STUCK]))
-    turns, scatter = still.last_turn, still.scatter
+    reason = None
     if still.seconds > 0.0:
-        # the mean itself errs too
-        turns = (turned - still.rate * dt) / math.sqrt(1.0 + dt / still.seconds)
-        scatter = scatter + np.stack([turns, still.last_turn])[:, :, None] * turns
         turn = float(np.linalg.norm(turned - still.rate * dt))
         push = float(np.linalg.norm(pushed - still.force * dt))
         spread = math.sqrt(dt * (1.0 + dt / still.seconds))
@@ -112,35 +106,31 @@ def close(still: Still, config: AlignConfig) -> tuple[Still, str | None]:
         elif push > max(PUSHED, SIGMAS * config.velocity_random_walk * spread):
             reason = f"the vehicle was pushed: its velocity changed by {push:.2f} m/s in {dt:.1f} s"
     seconds = still.seconds + dt
-    block = _NOTHING.copy()
-    block[_LAST], block[_HELD] = still.block[_LAST], still.block[_HELD]
+    turn_of = drift.Turn(dt, turned, still.block[_AREA], still.block[_LATE] / dt)
     still = still._replace(
-        block=block,
+        block=_NOTHING,
         rate=still.rate + (turned - still.rate * dt) / seconds,
         force=still.force + (pushed - still.force * dt) / seconds,
         seconds=seconds,
-        last_turn=turns,
-        scatter=scatter,
+        line=drift.follow(still.line, turn_of, drift.average(config.coarse_s, BLOCK_S)),
         blocks=still.blocks + 1,
     )
     return still, reason
 
 
-def rate_covariance(still: Still, config: AlignConfig) -> Vector:
-    """Covariance (3, 3) of the mean rate as an estimate of Earth's, without the gyros' constant errors.
+def mean_rate(still: Still, config: AlignConfig) -> tuple[Drift, Vector]:
+    """The mean rate and what turned it beside that, and the covariance (3, 3) of the rate as an Earth's.
 
-    What the random walk gives, or what the blocks show where that is more than chance: a vehicle that
-    somebody tilts a little has turned once, and its mean rate is not Earth's. Vibration comes and goes,
-    which the products of neighbouring blocks tell.
+    Without the gyros' constant errors: of what random walk gives, or what the angles show where that is more
+    than chance. A vehicle that somebody tilts a little has turned once, and its mean rate is not Earth's.
     """
-    floor = config.angle_random_walk**2 / still.seconds
-    free = still.blocks - 1
-    if free < 2:
-        return np.eye(3) * floor
-    square, product = still.scatter
-    size, axes = np.linalg.eigh((square + product + product.T) * (still.blocks / free / still.seconds**2))
-    size = np.where(size > floor * (1.0 + 4.0 * math.sqrt(3.0 / free)), size, floor)
-    return np.asarray(axes * size @ axes.T, dtype=np.float64)
+    found = drift.fitted(still.line, config.angle_random_walk)
+    return found, found.walk * (1.2 / still.seconds)
+
+
+def rate_covariance(still: Still, config: AlignConfig) -> Vector:
+    """The covariance of `mean_rate` alone."""
+    return mean_rate(still, config)[1]
 
 
 def fault(sample: ImuSample) -> str | None:

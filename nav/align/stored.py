@@ -27,6 +27,7 @@ from nav.align.static import (
     coarse_init,
     limit_of_means,
     nav_init,
+    not_gravity,
     place_of,
     sigma_of_place,
     turning,
@@ -91,8 +92,9 @@ def know(config: AlignConfig, still: Still, lat: float, height: float) -> Known:
     T = still.seconds
     push = config.velocity_random_walk**2 / T + 2.0 * (config.sway / T) ** 2 + _FORCE_FLOOR**2
     force = _Seen(still.force, -gravity_g(lat, height), _EYE * push, _NAB)
-    turn = watch.rate_covariance(still, config) + _EYE * _RATE_FLOOR**2
-    rate = _Seen(still.rate, earth_rate_g(lat), turn, _EPS)
+    drift, turn = watch.mean_rate(still, config)
+    turn = turn + _EYE * _RATE_FLOOR**2
+    rate = _Seen(drift.rate, earth_rate_g(lat), turn, _EPS)
     N0 = np.zeros((9, 9))
     N0[_PHI, _PHI] = np.diag(information)
     N0[_EPS, _EPS] = _EYE / max(config.gyro_bias, _RATE_FLOOR) ** 2
@@ -111,7 +113,11 @@ def know(config: AlignConfig, still: Still, lat: float, height: float) -> Known:
         heading = math.degrees(miss / float(rate.v_g[1]))
         conflict = f"the vehicle has turned since: by Earth rate its heading is about {heading:.1f} deg off"
     found = _solve(C0, N0, (force, rate))
-    return found._replace(conflict=conflict)
+    # what is no mean rate has turned the vehicle since the middle
+    C = found.C @ dcm_from_quat(quat_from_rotvec(drift.now))
+    P = found.P.copy()
+    P[_PHI, _PHI] += (0.5 * T) ** 2 * C @ turn @ C.T
+    return Known(C, found.biases, 0.5 * (P + P.T), conflict)
 
 
 def _design(C: Vector, seen: _Seen) -> Vector:
@@ -160,8 +166,13 @@ def _missing(config: AlignConfig) -> str | None:
     return None if config.C_vb is not None else "a stored heading is the vehicle's: it needs a known mounting"
 
 
-def _against(config: AlignConfig, still: Still, lat: float) -> str | None:
-    return _missing(config) or turning(config, still, lat) or know(config, still, lat, 0.0).conflict
+def _against(config: AlignConfig, still: Still, lat: float, height: float) -> str | None:
+    return (
+        _missing(config)
+        or not_gravity(config, still.force * still.seconds, still.seconds, lat, height)
+        or turning(config, still, lat)
+        or know(config, still, lat, height).conflict
+    )
 
 
 def _attitude(config: AlignConfig, still: Still, lat: float, height: float) -> tuple[Vector, Vector] | None:
