@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bridge.studies import alignment_truth
+from bridge.studies.alignment_truth import DEG_PER_H, HEIGHT, LAT, LON, G, sensed
 from nav.align import ALIGNMENTS, AlignConfig, AlignStatus, NavInit, advance, begin, result
 from nav.earth import earth_rate_g, gravity_g
 from nav.rotation import dcm_from_euler
 from nav.types import FixType, GnssFix, ImuSample
-from tests.nav.align import swaying
-from tests.nav.align.swaying import DEG_PER_H, HEIGHT, LAT, LON, G, sensed
 
 DT = 0.2
 BAND_3 = (0.9, 5.4)  # the mean of 8 chi-square values of 3 degrees of freedom: 99.8 % of them
@@ -110,7 +110,7 @@ def align(alignment, samples, config=GRADE, at_s=(), insist=True):
 
 def misalignment(C_gb, init):
     """phi with true C_gb = (I + [phi x]) estimated C_gb."""
-    return swaying.misalignment(C_gb, init.q_gb)
+    return alignment_truth.misalignment(C_gb, init.q_gb)
 
 
 def nees(C_gb, eps, nabla, init):

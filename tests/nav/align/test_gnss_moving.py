@@ -8,13 +8,26 @@ import math
 import numpy as np
 import pytest
 
+from bridge.studies.alignment_truth import (
+    DEG_PER_H,
+    HEIGHT,
+    LAT,
+    LON,
+    G,
+    drive,
+    fixes,
+    merged,
+    misalignment,
+    road,
+    sensed,
+    stops,
+    times,
+)
 from nav.align import ALIGNMENTS, AlignConfig, advance, begin, result
 from nav.align.apparent import felt, gravity_integrals, inertial, reach
 from nav.earth import EARTH_RATE, ecef
 from nav.rotation import dcm_from_quat
 from nav.types import ImuSample, OdoSample
-from tests.nav.align.driving import drive, fixes, merged, road, stops, times
-from tests.nav.align.swaying import DEG_PER_H, HEIGHT, LAT, LON, G, misalignment, sensed
 
 DT = 0.05
 SECONDS = 330.0

@@ -6,6 +6,8 @@ import math
 import numpy as np
 import pytest
 
+from bridge.studies.alignment_truth import DEG_PER_H, HEIGHT, LAT, LON, Base, G, misalignment, sensed
+from bridge.studies.figures.alignment_printed import double_integration
 from nav.align import ALIGNMENTS, AlignConfig, advance, begin, result
 from nav.align import constant as con
 from nav.align.apparent import (
@@ -26,7 +28,6 @@ from nav.align.apparent import (
 from nav.earth import EARTH_RATE, gravity_g, position_matrix
 from nav.rotation import dcm_from_quat, quat_from_dcm, quat_normalize, rotvec_from_quat
 from nav.types import ImuFlag, OdoSample
-from tests.nav.align.swaying import DEG_PER_H, HEIGHT, LAT, LON, Base, G, misalignment, sensed
 
 DT = 0.02
 SECONDS = 180.0
@@ -222,33 +223,12 @@ def test_error_free_sensors_align_from_any_attitude_while_the_base_sways():
             assert np.max(np.abs(phi[:2])) < 2e-6
 
 
-def printed(samples, seconds):
-    """Attitude by double integration as printed: from rest, two instants, eq. (3-22)."""
-    track = tracker(0)
-    rows = []
-    for s in samples:
-        add(*track, s.dtheta, s.dv, s.dt, s.t_ns, False)
-        if abs(s.t_ns * 1e-9 - 0.5 * seconds) < 1e-6 or abs(s.t_ns * 1e-9 - seconds) < 1e-6:
-            rows.append(track.row.copy())
-
-    def frame(m, other):
-        a = m / np.linalg.norm(m)
-        b = np.cross(a, other) / np.linalg.norm(np.cross(a, other))
-        return np.stack([a, b, np.cross(a, b)], axis=1)
-
-    half, m = rows
-    u_l, u_m = (gravity_integrals(LAT, HEIGHT, float(r[A_T]))[1] for r in rows)
-    C = frame(m[A_P : A_P + 3], half[A_P : A_P + 3]) @ frame(u_m, u_l).T
-    C_gi0 = position_matrix(LAT, EARTH_RATE * seconds).T @ position_matrix(LAT, 0.0)
-    return quat_from_dcm(C_gi0 @ C.T @ attitude(m))
-
-
 def test_a_sway_that_runs_at_the_start_fails_the_printed_method_alone():
     ours, theirs = [], []
     for seed in range(4):
         base, samples, _, _ = swaying(seed)
         truth = base.C_gb(SECONDS)
-        theirs.append(misalignment(truth, printed(samples, SECONDS))[2])
+        theirs.append(misalignment(truth, double_integration(samples, SECONDS))[2])
         init, _, _ = align("inertial", samples)
         ours.append(misalignment(truth, init.q_gb)[2])
     # a start at 3 cm/s for 180 s is 5 m, against g w_N T^3/6 = 480 m/rad

@@ -8,13 +8,25 @@ import math
 import numpy as np
 import pytest
 
+from bridge.studies.alignment_truth import (
+    DEG_PER_H,
+    HEIGHT,
+    LAT,
+    LON,
+    G,
+    drive,
+    merged,
+    misalignment,
+    road,
+    sensed,
+    ticks,
+    times,
+)
 from nav.align import ALIGNMENTS, AlignConfig, advance, begin, result
 from nav.align.rolled import gravity_change, transport
 from nav.earth import EARTH_RATE, ecef, gravity_g, position_matrix, transport_rate_g, xyz_to_geodetic
 from nav.rotation import dcm_from_quat, quat_from_rotvec
 from nav.types import ImuSample
-from tests.nav.align.driving import drive, merged, road, ticks, times
-from tests.nav.align.swaying import DEG_PER_H, HEIGHT, LAT, LON, G, misalignment, sensed
 
 DT, ODO = 0.05, 0.1
 BEGIN = 20.0  # s: the vehicle is on its way by then
