@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bridge import arguments
+from bridge.commands import METHODS
 
 _RUNS: Final = 100
 
@@ -27,8 +28,8 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         "consistency",
         help="position, velocity and attitude at fixed epochs against their covariances",
         description="Mean normalised error squared (NEES) of position, velocity and attitude over all runs "
-        "at twelve epochs, against the two-sided 95 %% band of so many runs, and mean error against zero. At "
-        "least 90 %% must lie inside.",
+        "at twelve epochs, against the two-sided 95 % band of so many runs, and mean error against zero. At "
+        "least 90 % must lie inside.",
     )
     _common(moving)
     moving.add_argument(
@@ -47,6 +48,22 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
     _common(still)
     still.add_argument(
         "--scenario", default="static_rlg", help="a packaged scenario or a TOML file (default: static_rlg)"
+    )
+    every = kinds.add_parser(
+        "alignment",
+        help="attitude while each alignment runs, and at its end, against its covariance",
+        description="Mean normalised error squared (NEES) of the attitude that an alignment says at twelve "
+        "epochs and hands over at its end, over all runs, against the two-sided 95 % band of so many runs, "
+        "and mean error against zero. Each method runs on the base that it is for. At least 90 % must lie "
+        "inside, and no run may be refused.",
+    )
+    _common(every)
+    every.add_argument(
+        "--method",
+        action="append",
+        choices=list(METHODS),
+        metavar="NAME",
+        help=f"one of {', '.join(METHODS)}; may be given again (default: all)",
     )
     return parser
 
@@ -73,6 +90,15 @@ def run(args: argparse.Namespace) -> int:
     from bridge.studies.workers import on_terminal
 
     progress = on_terminal()
+    if args.campaign == "alignment":
+        from bridge.studies import alignment_campaign as study
+
+        methods = args.method or list(METHODS)
+        every = study.run_alignments(
+            methods, args.runs, seed_base=args.seed_base, jobs=args.jobs, progress=progress
+        )
+        _print(args, study.lines(every), study.document(every))
+        return 0 if all(one.passed for one in every) else 1
     if args.campaign == "static":
         still = run_static(
             args.scenario, args.runs, seed_base=args.seed_base, jobs=args.jobs, progress=progress

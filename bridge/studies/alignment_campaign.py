@@ -49,13 +49,13 @@ class Trial(NamedTuple):
     last_s: float
 
 
-_STAND: Final = Trial("standing", 0.1, 30.0, 299.0)
+_STAND: Final = Trial("standing", 0.2, 30.0, 299.0)
 _COARSE: Final = _STAND._replace(first_s=10.0, last_s=59.0)
 _SWAY: Final = Trial("swaying", 0.05, 40.0, 69.0)
 _ROAD: Final = Trial("winding road", 0.1, 120.0, 598.0)
 TRIALS: Final[dict[str, Trial]] = {
     "static": _STAND,
-    "motion": Trial("consumer", 0.02, 30.0, 60.0),
+    "motion": Trial("consumer", 0.05, 30.0, 60.0),
     "analytic": _COARSE,
     "open_loop": _STAND,
     "stored": _COARSE,
@@ -70,7 +70,7 @@ TRIALS: Final[dict[str, Trial]] = {
     "inertial_wahba": _SWAY,
     "odometer": _ROAD,
     "gnss": Trial("stops", 0.1, 60.0, 328.0),
-    "large_angle": Trial("misaligned 30, 10, any", 0.1, 30.0, 299.0),
+    "large_angle": Trial("misaligned 30, 10, any", 0.2, 30.0, 299.0),
 }
 """For each method the base that it is for."""
 
