@@ -60,7 +60,7 @@ WHY: Final = {
 """Cells of Table 7-2 whose number is not that of the algorithm."""
 
 ORDER_TOLERANCE: Final = 0.1
-SHAKEN_TOLERANCE: Final = 0.1
+SHAKEN_TOLERANCE: Final = 0.05  # third orders of the tilt, against second ones that nearly cancel
 COLOURS: Final = (*AXES, RED, GREY)
 
 
@@ -116,8 +116,8 @@ def compute() -> Result:
         '1", of 1 and 2 ms at 10 deg, where a term of alpha^4 lambda^5 is left whatever the samples.',
         "Shaken: 1 deg of coning at 10 Hz with 1 g of sculling, 200 Hz samples, 60 s through the whole "
         "kernel; coning as the turn about the cone's axis, sculling as mean acceleration along it. From "
-        "three samples on the closed form is what turning gravity at a constant rate in an update leaves, "
-        "-alpha^2 g lambda_N^4 / 180; the kernel's third-order term takes most of it away.",
+        "three samples on sculling is what the kernel's third-order term leaves of turning gravity, which at "
+        "a constant rate in an update would be -alpha^2 g lambda_N^4 / 180.",
     ]
     return Result(
         "Coning: coefficients and drift", rows, notes, {"angles": _sweep_angles(), "steps": _sweep_steps()}
@@ -178,18 +178,14 @@ def _shaken(samples: int) -> list[Row]:
     per_minute = SECONDS / (samples * SAMPLE)
     turn, velocity = drift(samples)
     exact_turn = -float(exact_drift(Decimal(ALPHA), lam, samples)) * per_minute
-    exact_velocity = sculling(samples, float(residual(samples)))
+    exact_velocity = sculling(samples)
     rows = []
     for kind, ours, exact, unit, factor in (
         ("coning", turn, exact_turn, "arcsec", 648_000.0 / math.pi),
         ("sculling", velocity, exact_velocity, "ug", 1e6 / (SECONDS * G0)),
     ):
-        if kind == "sculling" and samples > 2:
-            # the closed form is of a velocity turned at constant rate, and the kernel does better
-            passed, tolerance = abs(ours) <= abs(exact), "below closed form"
-        else:
-            passed = abs(ours - exact) <= SHAKEN_TOLERANCE * abs(exact)
-            tolerance = f"{SHAKEN_TOLERANCE:g} of closed form"
+        passed = abs(ours - exact) <= SHAKEN_TOLERANCE * abs(exact)
+        tolerance = f"{SHAKEN_TOLERANCE:g} of closed form"
         name = f"shaken N={samples} {kind}"
         rows.append(Row(name, None, ours * factor, tolerance, passed, unit, "", exact * factor))
     return rows

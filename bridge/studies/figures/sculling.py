@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bridge.studies.figures.exact_increments import direction, integrals
 from bridge.studies.figures.flights import small_turn
 from nav import rotation as rot
+from nav.strapdown.coning import coning_coefficients
 from nav.strapdown.control import control
 from nav.strapdown.kernels import X_C, X_HEAD, X_Q, X_V, integrate
 from virtual_bus.ellipsoid import G0, OMEGA, gravity
@@ -83,19 +84,50 @@ def drift(samples: int) -> tuple[float, float]:
     return float(turn), float(motion.velocity(end)[0, 2] - (C_tn @ x[X_V : X_V + 3])[2])
 
 
-def sculling(samples: int, residual: float) -> float:
+def sculling(samples: int) -> float:
     """Closed form of the vertical velocity of `drift`, m/s, to second order in the tilt.
 
-    Sculling is the dual of coning: in the residual alpha^2 lambda_N^(2 N + 1) times ``residual`` of an update
-    the product of tilt and velocity, twice, replaces the square of the tilt. To that comes what the rotation
-    of the velocity leaves when it is made as if the rate were constant in the update (from three samples on
-    the kernel knows better):
-    of gravity g, alpha^2 g (sin x - x + x (1 - cos x) / 3) / Omega with x = lambda_N, which is
-    -alpha^2 g x^5 / (180 Omega) to lowest order.
+    In an update of x = N lambda the axis of the body goes from e_0 to e_N, unit vectors on a circle. Sample i
+    counts the angles alpha (e_i - e_i-1), a = 2 sin(lambda/2) long and along the tangent of its middle,
+    and of the level force, shake and gravity on the tilted body B = A + alpha g, B/Omega times the same.
+    Sums are over j, the samples from the last one back, with the coefficients k_j. True minus computed
+    velocity of an update, times Omega, is made of
+
+    - sculling proper, the dual of coning with tilt and velocity in the place of the tilt twice:
+      2 alpha B [(x - sin x)/2 - sum k_j a^2 sin(j lambda)];
+    - the turn of gravity as if the rate were constant: alpha^2 g times sin x - x + x (1 - cos x)/3, which
+      is -x^5/180 to lowest order;
+    - from three samples on the kernel's third-order term (`nav.strapdown.coning.velocity_increment`). Of
+      gravity, the one increment of order zero, its brackets are -|s|^2/240 and S.b/360 with the whole turn
+      S = 2 sin(x/2), slope s and bend b as there: -alpha^2 g x times their sum, +x^5/180 to lowest order;
+    - what the coefficients leave of the level velocity that gravity gains, lifted by the tilt at the start
+      of the update: -alpha^2 g cos(x/2) times
+      2 sin(x/2) - x cos(x/2) - lambda a sum k_j (sin d - sin(d - j lambda)), d = (N - 1) lambda/2.
     """
-    update = samples * SAMPLE
-    x = _RATE * update
+    lam = _RATE * SAMPLE
+    x, d, a = samples * lam, 0.5 * (samples - 1) * lam, 2.0 * math.sin(0.5 * lam)
     g = float(-gravity(np.radians(_LAT_DEG), np.zeros(()))[1])
-    dual = 2.0 * ALPHA * (SHAKE + ALPHA * g) * residual * x ** (2 * samples + 1)
-    rotation = ALPHA**2 * g * (math.sin(x) - x + x * (1.0 - math.cos(x)) / 3.0)
-    return (dual + rotation) / _RATE * SECONDS / update
+    k = [float(one) for one in coning_coefficients(samples)] if samples > 1 else []
+    pairs = sum(k_j * a * a * math.sin(j * lam) for j, k_j in enumerate(k, 1))
+    moments = sum(k_j * a * (math.sin(d) - math.sin(d - j * lam)) for j, k_j in enumerate(k, 1))
+    dual = 2.0 * ALPHA * (SHAKE + ALPHA * g) * (0.5 * (x - math.sin(x)) - pairs)
+    rotation = math.sin(x) - x + x * (1.0 - math.cos(x)) / 3.0
+    lifted = math.cos(0.5 * x) * (2.0 * math.sin(0.5 * x) - x * math.cos(0.5 * x) - lam * moments)
+    third = x * _brackets(samples, lam) if samples > 2 else 0.0
+    return (dual + ALPHA**2 * g * (rotation - third - lifted)) / _RATE * SECONDS / (samples * SAMPLE)
+
+
+def _brackets(samples: int, lam: float) -> float:
+    """S.b/360 - |s|^2/240 of the angles of `sculling`, over alpha^2.
+
+    Slope and bend are those of a parabola through the samples' angles: first to last, and first and last
+    against the two in the middle (twice the one there), each scaled to the update.
+    """
+    at = lam * (np.arange(samples) - 0.5 * (samples - 1))
+    steps = 2.0 * math.sin(0.5 * lam) * np.stack((np.cos(at), np.sin(at)), axis=-1)
+    places = np.arange(samples) - 0.5 * (samples - 1)
+    slope = (steps[-1] - steps[0]) * samples**2 / (samples - 1)
+    low, high = (samples - 1) // 2, samples // 2
+    outer, inner = places[0] ** 2 + places[-1] ** 2, places[low] ** 2 + places[high] ** 2
+    bend = (steps[0] + steps[-1] - steps[low] - steps[high]) * samples**3 / (outer - inner)
+    return float(steps.sum(axis=0) @ bend / 360.0 - slope @ slope / 240.0)
