@@ -45,6 +45,26 @@ TRIED: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "consumer": (("motion",), (*SENSORS, *FIXES)),
 }
 
+WORDS: dict[str, str] = {
+    "gyro_outlier": "gyro|turned|turns",
+    "accel_outlier": "accelerometer|pushed|moves",
+    "turned": "turned|turns|tilts|moves|moved|gyro",
+    "shoved": "pushed|moves|moved|accelerometer",
+    "latitude": "latitude",
+    "accel_held": "accelerometer is stuck",
+    "accel_dead": "accelerometer is stuck",
+    "gyro_held": "gyro is stuck",
+    "gyro_dead": "gyro is stuck",
+    "slip_1s": "wheel|odometer",
+    "slip_20s": "wheel|odometer",
+    "odometer_outlier": "wheel|odometer",
+    "fix_outlier": "GNSS",
+    "velocity_outlier": "GNSS",
+    "fix_jump": "GNSS",
+    "fix_drag": "GNSS",
+}
+"""What one of the refusals must say."""
+
 
 class Case(NamedTuple):
     """A method on a scene, and what happens to it."""

@@ -29,8 +29,8 @@ from nav.types import Sample, Vector
 from tests.nav.align import making
 
 DT = 0.1
-ALIGN_S = 180.0
-ROAD_S = 300.0
+ALIGN_S = 120.0
+ROAD_S = 240.0
 IMU = np.array([0.3, 1.2, 0.8])  # m from the rear axle
 
 # navigation grade: 0.007 deg/h, 0.0005 deg/sqrt(h), 50 ug, 10 ug/sqrt(Hz)

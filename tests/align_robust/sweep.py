@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import itertools
 
-from tests.align_robust.cases import SCENES, cases
-from tests.align_robust.judge import BOUND, End, end_of
+from tests.align_robust.cases import SCENES, WORDS, cases
+from tests.align_robust.judge import BOUND, End, end_of, is_right
 
 
 def _says(end: End) -> str:
@@ -36,7 +36,7 @@ def main() -> None:
             for seed in range(args.seeds):
                 for size, scene in case.scenes(seed):
                     end = end_of(case.method, scene)
-                    right = end.refusals != () if end.chi2 is None else end.chi2 <= BOUND
+                    right = is_right(end, WORDS[case.fault])
                     if not right or not args.wrong:
                         print(" " if right else "!", *case, f"{size:g} seed {seed}:", _says(end), flush=True)
 
