@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from bridge.outputs import Checkpoint
-from nav.jit import kernel
+from nav.jit import in_place
 from nav.types import Solution, Vector
 
 _SECOND_NS: Final = 1_000_000_000
@@ -31,7 +31,7 @@ def canonical_row(solution: Solution) -> bytes:
     return _ROW.pack(solution.t_ns, solution.mode, solution.flags) + state.tobytes()
 
 
-@kernel
+@in_place
 def _canonical(state: Vector) -> None:
     """Give every NaN the same bits: its sign and payload depend on how it came about."""
     for i in range(state.shape[0]):

@@ -16,7 +16,7 @@ from bridge.crc8 import CRC8
 from dbc.codec import MessageCodec
 from dbc.e2e import P01_ALIVE_MODULUS
 from nav.imu.pulses import compensate
-from nav.jit import kernel
+from nav.jit import in_place
 from nav.types import Vector
 
 FRAME_BYTES: Final = 8
@@ -51,7 +51,7 @@ def layout(codecs: Sequence[MessageCodec]) -> NDArray[np.int64] | None:
     return np.array(rows, dtype=np.int64)
 
 
-@kernel
+@in_place
 def _word(wire: NDArray[np.uint8], first: int) -> int:
     word = 0
     for i in range(FRAME_BYTES):
@@ -59,14 +59,14 @@ def _word(wire: NDArray[np.uint8], first: int) -> int:
     return word
 
 
-@kernel
+@in_place
 def _signal(places: NDArray[np.int64], row: int, word: int) -> int:
     raw = word >> places[row, _START] & places[row, _MASK]
     sign = places[row, _SIGN]
     return int((raw ^ sign) - sign)
 
 
-@kernel
+@in_place
 def assemble(
     wire: NDArray[np.uint8],
     places: NDArray[np.int64],

@@ -11,18 +11,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from nav.filter.states import BASIC, FULL, P_GNSS, P_Q, RECEIVER
-from nav.jit import kernel
+from nav.filter.states import ALL, BASIC, FULL, P_GNSS, P_Q, RECEIVER, X_F, X_F0, X_W
+from nav.jit import in_place
 from nav.strapdown.kernels import M_C, M_EN, M_F, M_G, M_IE, M_K, M_V
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-WIDTH: Final = 48
+_WIDTH: Final = 48
 """Length of a row of scratch: a multiple of what a processor takes at once, ALL or more."""
-OUT: Final = 15 * WIDTH
-"""Where the results begin in scratch, behind the rows of navigation and sensor errors."""
-PREDICT_SIZE: Final = OUT + 9 * WIDTH + 81
+"""Length of a row of scratch: a multiple of what a processor takes at once, ALL or more."""
+_PHI: Final = 9 * _WIDTH
+"""Where ``F dt`` of position, velocity and phi lies in scratch, 9 rows of 9, behind the products."""
+PREDICT_SIZE: Final = _PHI + 81
 
 
 def predict_readable(P: Matrix, F: Matrix, q: Vector, dt: float) -> Matrix:
@@ -34,9 +35,9 @@ def predict_readable(P: Matrix, F: Matrix, q: Vector, dt: float) -> Matrix:
     return np.asarray(Phi @ P @ Phi.T + np.diag(q) * dt)
 
 
-@kernel
-def _nav_block(A: Matrix, mid: Vector, dt: float) -> None:
-    """Put F dt of position, velocity and phi into A (9, 9), but for its zeros; see `nav.errors.model`."""
+@in_place
+def _nav_block(w: Vector, mid: Vector, dt: float) -> None:
+    """Put F dt of position, velocity and phi into ``w``, but for its zeros; see `nav.errors.model`."""
     kxx, kxy, kyy = mid[M_K] * dt, mid[M_K + 1] * dt, mid[M_K + 2] * dt
     mean = 0.5 * (kxx + kyy)
     ix, iy, iz = mid[M_IE], mid[M_IE + 1], mid[M_IE + 2]
@@ -44,15 +45,10 @@ def _nav_block(A: Matrix, mid: Vector, dt: float) -> None:
     vx, vy, vz = mid[M_V], mid[M_V + 1], mid[M_V + 2]
     turn = tz * dt
     fx, fy, fz = mid[M_F] * dt, mid[M_F + 1] * dt, mid[M_F + 2] * dt
-    A[0, 0] = mean * vz
-    A[0, 1] = turn
-    A[0, 2] = -mean * vx
-    A[1, 0] = -turn
-    A[1, 1] = mean * vz
-    A[1, 2] = -mean * vy
-    A[0, 3] = dt
-    A[1, 4] = dt
-    A[2, 5] = dt
+    x, y, z = _PHI, _PHI + 9, _PHI + 18  # rows of position
+    w[x], w[x + 1], w[x + 2], w[x + 3] = mean * vz, turn, -mean * vx, dt
+    w[y], w[y + 1], w[y + 2], w[y + 4] = -turn, mean * vz, -mean * vy, dt
+    w[z + 5] = dt
 
     # rows of dw_ie (i) over level position, then dw_in (a) with the transport part
     i00, i01 = -iz * kxx, -iz * kxy
@@ -60,100 +56,139 @@ def _nav_block(A: Matrix, mid: Vector, dt: float) -> None:
     i20, i21 = ix * kxx + iy * kxy, ix * kxy + iy * kyy
     a02, a12 = -mean * tx, -mean * ty
     a20, a21 = i20 + tx * kxx + ty * kxy, i21 + tx * kxy + ty * kyy
-    A[6, 0], A[6, 1], A[6, 2] = i00, i01, a02
-    A[7, 0], A[7, 1], A[7, 2] = i10, i11, a12
-    A[8, 0], A[8, 1] = a20, a21
-    A[6, 3], A[6, 4] = -kxy, -kyy
-    A[7, 3], A[7, 4] = kxx, kxy
     wx, wy, wz = (ix + tx) * dt, (iy + ty) * dt, (iz + tz) * dt
-    A[6, 7], A[6, 8] = wz, -wy
-    A[7, 6], A[7, 8] = -wz, wx
-    A[8, 6], A[8, 7] = wy, -wx
+    x, y, z = _PHI + 54, _PHI + 63, _PHI + 72  # rows of phi
+    w[x], w[x + 1], w[x + 2], w[x + 3], w[x + 4] = i00, i01, a02, -kxy, -kyy
+    w[y], w[y + 1], w[y + 2], w[y + 3], w[y + 4] = i10, i11, a12, kxx, kxy
+    w[z], w[z + 1] = a20, a21
+    w[x + 7], w[x + 8] = wz, -wy
+    w[y + 6], w[y + 8] = -wz, wx
+    w[z + 6], w[z + 7] = wy, -wx
 
     # velocity: v x (2 dw_ie + dw_en)
     g00, g01 = 2.0 * i00, 2.0 * i01
     g10, g11 = 2.0 * i10, 2.0 * i11
     g20, g21 = i20 + a20, i21 + a21
-    A[3, 0], A[3, 1], A[3, 2] = vy * g20 - vz * g10, vy * g21 - vz * g11, -vz * a12
-    A[4, 0], A[4, 1], A[4, 2] = vz * g00 - vx * g20, vz * g01 - vx * g21, vz * a02
-    A[5, 0], A[5, 1] = vx * g10 - vy * g00, vx * g11 - vy * g01
-    A[5, 2] = vx * a12 - vy * a02 + mid[M_G] * dt
+    x, y, z = _PHI + 27, _PHI + 36, _PHI + 45  # rows of velocity
+    w[x], w[x + 1], w[x + 2] = vy * g20 - vz * g10, vy * g21 - vz * g11, -vz * a12
+    w[y], w[y + 1], w[y + 2] = vz * g00 - vx * g20, vz * g01 - vx * g21, vz * a02
+    w[z], w[z + 1] = vx * g10 - vy * g00, vx * g11 - vy * g01
+    w[z + 2] = vx * a12 - vy * a02 + mid[M_G] * dt
     cx, cy, cz = (2.0 * ix + tx) * dt, (2.0 * iy + ty) * dt, (2.0 * iz + tz) * dt
-    A[3, 3], A[3, 4], A[3, 5] = -vz * kxx, cz - vz * kxy, -cy
-    A[4, 3], A[4, 4], A[4, 5] = -cz - vz * kxy, -vz * kyy, cx
-    A[5, 3], A[5, 4] = cy + vx * kxx + vy * kxy, -cx + vx * kxy + vy * kyy
-    A[3, 7], A[3, 8] = -fz, fy
-    A[4, 6], A[4, 8] = fz, -fx
-    A[5, 6], A[5, 7] = -fy, fx
+    w[x + 3], w[x + 4], w[x + 5] = -vz * kxx, cz - vz * kxy, -cy
+    w[y + 3], w[y + 4], w[y + 5] = -cz - vz * kxy, -vz * kyy, cx
+    w[z + 3], w[z + 4] = cy + vx * kxx + vy * kxy, -cx + vx * kxy + vy * kyy
+    w[x + 7], w[x + 8] = -fz, fy
+    w[y + 6], w[y + 8] = fz, -fx
+    w[z + 6], w[z + 7] = -fy, fx
 
 
-@kernel
-def _carry(w: Vector, A: Matrix, mid: Vector, dt: float, columns: int) -> None:
-    """Rows from OUT of ``w`` become the first nine of Phi times the rows at its head, over ``columns``.
+@in_place
+def _carry(P: Matrix, x: Vector, mid: Vector, dt: float, w: Vector, n: int, columns: int) -> None:
+    """Rows at the head of ``w`` become the first nine of Phi times ``P`` (n, n), over ``columns``.
 
     The elements of Phi that are always zero are left out. Everything a column needs is one expression over
-    rows of equal length, so that the compiler takes several columns at once.
+    rows of equal length, so that the compiler takes several columns at once; behind the last column of a row
+    it may take the first ones of the next.
     """
-    a00, a01, a02, a10, a11, a12 = A[0, 0], A[0, 1], A[0, 2], A[1, 0], A[1, 1], A[1, 2]
-    a30, a31, a32, a33, a34, a35 = A[3, 0], A[3, 1], A[3, 2], A[3, 3], A[3, 4], A[3, 5]
-    a40, a41, a42, a43, a44, a45 = A[4, 0], A[4, 1], A[4, 2], A[4, 3], A[4, 4], A[4, 5]
-    a50, a51, a52, a53, a54 = A[5, 0], A[5, 1], A[5, 2], A[5, 3], A[5, 4]
-    a37, a38, a46, a48, a56, a57 = A[3, 7], A[3, 8], A[4, 6], A[4, 8], A[5, 6], A[5, 7]
-    a60, a61, a62, a63, a64, a67, a68 = A[6, 0], A[6, 1], A[6, 2], A[6, 3], A[6, 4], A[6, 7], A[6, 8]
-    a70, a71, a72, a73, a74, a76, a78 = A[7, 0], A[7, 1], A[7, 2], A[7, 3], A[7, 4], A[7, 6], A[7, 8]
-    a80, a81, a86, a87 = A[8, 0], A[8, 1], A[8, 6], A[8, 7]
+    if P.shape[1] != n:  # never; but now the compiler knows how far apart the rows are
+        return
+    o = _PHI
+    a00, a01, a02, a10, a11, a12 = w[o], w[o + 1], w[o + 2], w[o + 9], w[o + 10], w[o + 11]
+    o = _PHI + 27
+    a30, a31, a32, a33, a34 = w[o], w[o + 1], w[o + 2], w[o + 3], w[o + 4]
+    a35, a37, a38 = w[o + 5], w[o + 7], w[o + 8]
+    o = _PHI + 36
+    a40, a41, a42, a43, a44 = w[o], w[o + 1], w[o + 2], w[o + 3], w[o + 4]
+    a45, a46, a48 = w[o + 5], w[o + 6], w[o + 8]
+    o = _PHI + 45
+    a50, a51, a52, a53, a54, a56, a57 = w[o], w[o + 1], w[o + 2], w[o + 3], w[o + 4], w[o + 6], w[o + 7]
+    o = _PHI + 54
+    a60, a61, a62, a63, a64, a67, a68 = w[o], w[o + 1], w[o + 2], w[o + 3], w[o + 4], w[o + 7], w[o + 8]
+    o = _PHI + 63
+    a70, a71, a72, a73, a74, a76, a78 = w[o], w[o + 1], w[o + 2], w[o + 3], w[o + 4], w[o + 6], w[o + 8]
+    o = _PHI + 72
+    a80, a81, a86, a87 = w[o], w[o + 1], w[o + 6], w[o + 7]
     c00, c01, c02 = mid[M_C] * dt, mid[M_C + 1] * dt, mid[M_C + 2] * dt
     c10, c11, c12 = mid[M_C + 3] * dt, mid[M_C + 4] * dt, mid[M_C + 5] * dt
     c20, c21, c22 = mid[M_C + 6] * dt, mid[M_C + 7] * dt, mid[M_C + 8] * dt
+    w0, w1, w2 = x[X_W], x[X_W + 1], x[X_W + 2]
+    b0, b1, b2 = x[X_F] - x[X_F0], x[X_F + 1] - x[X_F0 + 1], x[X_F + 2] - x[X_F0 + 2]
     for c in range(columns):
-        x, y, z = w[c], w[WIDTH + c], w[2 * WIDTH + c]
-        u, v, s = w[3 * WIDTH + c], w[4 * WIDTH + c], w[5 * WIDTH + c]
-        e, n, h = w[6 * WIDTH + c], w[7 * WIDTH + c], w[8 * WIDTH + c]
-        g0, g1, g2 = w[9 * WIDTH + c], w[10 * WIDTH + c], w[11 * WIDTH + c]
-        f0, f1, f2 = w[12 * WIDTH + c], w[13 * WIDTH + c], w[14 * WIDTH + c]
-        o = OUT + c
-        w[o] = x + (a00 * x + a01 * y + a02 * z + dt * u)
-        w[o + WIDTH] = y + (a10 * x + a11 * y + a12 * z + dt * v)
-        w[o + 2 * WIDTH] = z + dt * s
-        w[o + 3 * WIDTH] = u + (
-            (a30 * x + a31 * y + a32 * z)
+        p, q, r = P[0, c], P[1, c], P[2, c]
+        u, v, s = P[3, c], P[4, c], P[5, c]
+        e, m, h = P[6, c], P[7, c], P[8, c]
+        g0, g1, g2 = P[9, c], P[10, c], P[11, c]
+        f0, f1, f2 = P[12, c], P[13, c], P[14, c]
+        if n > BASIC:
+            # an error of scale or axes acts as a bias of its size at this rate or force
+            g0 = g0 + w0 * P[19, c] + w1 * P[20, c] + w2 * P[21, c]
+            g1 = g1 + w0 * P[22, c] + w1 * P[23, c] + w2 * P[24, c]
+            g2 = g2 + w0 * P[25, c] + w1 * P[26, c] + w2 * P[27, c]
+            f0 = f0 + b0 * P[28, c] + b1 * P[29, c] + b2 * P[30, c]
+            f1 = f1 + b0 * P[31, c] + b1 * P[32, c] + b2 * P[33, c]
+            f2 = f2 + b0 * P[34, c] + b1 * P[35, c] + b2 * P[36, c]
+        w[c] = p + (a00 * p + a01 * q + a02 * r + dt * u)
+        w[_WIDTH + c] = q + (a10 * p + a11 * q + a12 * r + dt * v)
+        w[2 * _WIDTH + c] = r + dt * s
+        w[3 * _WIDTH + c] = u + (
+            (a30 * p + a31 * q + a32 * r)
             + (a33 * u + a34 * v + a35 * s)
-            + (a37 * n + a38 * h)
+            + (a37 * m + a38 * h)
             - (c00 * f0 + c01 * f1 + c02 * f2)
         )
-        w[o + 4 * WIDTH] = v + (
-            (a40 * x + a41 * y + a42 * z)
+        w[4 * _WIDTH + c] = v + (
+            (a40 * p + a41 * q + a42 * r)
             + (a43 * u + a44 * v + a45 * s)
             + (a46 * e + a48 * h)
             - (c10 * f0 + c11 * f1 + c12 * f2)
         )
-        w[o + 5 * WIDTH] = s + (
-            (a50 * x + a51 * y + a52 * z)
+        w[5 * _WIDTH + c] = s + (
+            (a50 * p + a51 * q + a52 * r)
             + (a53 * u + a54 * v)
-            + (a56 * e + a57 * n)
+            + (a56 * e + a57 * m)
             - (c20 * f0 + c21 * f1 + c22 * f2)
         )
-        w[o + 6 * WIDTH] = e + (
-            (a60 * x + a61 * y + a62 * z)
+        w[6 * _WIDTH + c] = e + (
+            (a60 * p + a61 * q + a62 * r)
             + (a63 * u + a64 * v)
-            + (a67 * n + a68 * h)
+            + (a67 * m + a68 * h)
             + (c00 * g0 + c01 * g1 + c02 * g2)
         )
-        w[o + 7 * WIDTH] = n + (
-            (a70 * x + a71 * y + a72 * z)
+        w[7 * _WIDTH + c] = m + (
+            (a70 * p + a71 * q + a72 * r)
             + (a73 * u + a74 * v)
             + (a76 * e + a78 * h)
             + (c10 * g0 + c11 * g1 + c12 * g2)
         )
-        w[o + 8 * WIDTH] = h + ((a80 * x + a81 * y) + (a86 * e + a87 * n) + (c20 * g0 + c21 * g1 + c22 * g2))
+        w[8 * _WIDTH + c] = h + ((a80 * p + a81 * q) + (a86 * e + a87 * m) + (c20 * g0 + c21 * g1 + c22 * g2))
 
 
-@kernel
+@in_place
+def _through(P: Matrix, x: Vector, mid: Vector, dt: float, w: Vector, n: int) -> None:
+    """``Phi P Phi'`` in place, for an ``n`` that the compiler knows."""
+    last = 14 if n == BASIC else 36  # row that is read
+    _carry(P, x, mid, dt, w, n, min((n + 7) // 8 * 8, (n - last) * n))
+    for i in range(9):
+        for c in range(9, n):
+            P[i, c] = w[_WIDTH * i + c]
+    for c in range(n):
+        for i in range(9):
+            P[c, i] = w[_WIDTH * i + c]
+    # the columns hold the transpose of Phi P now, and the corner wants Phi once more
+    _carry(P, x, mid, dt, w, n, 16)
+    for i in range(9):
+        for j in range(i + 1):
+            value = w[_WIDTH * i + j]
+            P[i, j] = value
+            P[j, i] = value
+
+
+@in_place
 def predict(
     P: Matrix,
     mid: Vector,
-    w_b: Vector,
-    f_b: Vector,
+    x: Vector,
     dt: float,
     par: Vector,
     factor: float,
@@ -161,55 +196,25 @@ def predict(
     extra_phi: float,
     w: Vector,
 ) -> None:
-    """Covariance ``P`` (N, N) through ``dt`` seconds, in place.
+    """Covariance ``P`` (N, N) through ``dt`` seconds, in place; N is BASIC, FULL, RECEIVER or ALL.
 
-    ``mid`` is the strapdown kernel's record of the interval, ``w_b`` and ``f_b`` (3,) what errors of the axes
-    act on: the corrected rate, and the specific force less that at rest. ``par`` holds noise densities (from
-    place P_Q). ``factor``
-    multiplies the noise of velocity and phi, ``extra_v`` and ``extra_phi`` are added to it ((m/s)^2/s and
-    rad^2/s). ``w`` is scratch of PREDICT_SIZE numbers or more. Twin of `predict_readable`.
+    ``mid`` is the strapdown kernel's record of the interval, ``x`` (X_SIZE,) holds what errors of the axes
+    act on: the corrected rate, and the specific force less that at rest. ``par`` holds noise densities
+    (from place P_Q). ``factor`` multiplies the noise of velocity and phi, ``extra_v`` and ``extra_phi`` are
+    added to it ((m/s)^2/s and rad^2/s). ``w`` is scratch of PREDICT_SIZE numbers or more. Twin of
+    `predict_readable`.
     """
     n = P.shape[0]
-    A = w[OUT + 9 * WIDTH : PREDICT_SIZE].reshape(9, 9)
-    _nav_block(A, mid, dt)
-    # Phi P
-    for i in range(15):
-        for c in range(n):
-            w[WIDTH * i + c] = P[i, c]
-    if n > BASIC:
-        # an error of scale or axes acts as a bias of its size at this rate or force
-        for k in range(3):
-            g, f = WIDTH * (9 + k), WIDTH * (12 + k)
-            for j in range(3):
-                rate, force = w_b[j], f_b[j]
-                a = BASIC + 3 * k + j
-                for c in range(n):
-                    w[g + c] += rate * P[a, c]
-                    w[f + c] += force * P[a + 9, c]
-    _carry(w, A, mid, dt, (n + 7) // 8 * 8)
-    for c in range(9, n):
-        for i in range(9):
-            value = w[OUT + WIDTH * i + c]
-            P[i, c] = value
-            P[c, i] = value
-    # (Phi P) Phi' in the corner: Phi once more, to the transpose
-    for i in range(9):
-        for k in range(15):
-            w[WIDTH * k + i] = w[OUT + WIDTH * i + k]
-    if n > BASIC:
-        for i in range(9):
-            for k in range(3):
-                o = OUT + WIDTH * i + BASIC + 3 * k
-                g, f = WIDTH * (9 + k) + i, WIDTH * (12 + k) + i
-                for j in range(3):
-                    w[g] += w_b[j] * w[o + j]
-                    w[f] += f_b[j] * w[o + 9 + j]
-    _carry(w, A, mid, dt, 16)
-    for i in range(9):
-        for j in range(i + 1):
-            value = w[OUT + WIDTH * i + j]
-            P[i, j] = value
-            P[j, i] = value
+    _nav_block(w, mid, dt)
+    # one compiled form for each size
+    if n == BASIC:
+        _through(P, x, mid, dt, w, BASIC)
+    elif n == FULL:
+        _through(P, x, mid, dt, w, FULL)
+    elif n == RECEIVER:
+        _through(P, x, mid, dt, w, RECEIVER)
+    else:
+        _through(P, x, mid, dt, w, ALL)
 
     for c in range(9, n):
         P[c, c] += par[P_Q + c] * dt
@@ -256,7 +261,7 @@ def feedback_readable(P: Matrix, gains: tuple[float, float, float], q: float, dt
     return np.asarray(Phi @ P @ Phi.T + np.outer(feed, feed) * q * dt)
 
 
-@kernel
+@in_place
 def feedback(P: Matrix, k1: float, k2: float, k3: float, q: float, dt: float) -> None:
     """Covariance ``P`` through the feedback of a height channel, in place. Twin of `feedback_readable`."""
     n = P.shape[0]

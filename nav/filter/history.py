@@ -36,7 +36,7 @@ from nav.filter.propagate import (
 )
 from nav.filter.records import ORDER, PATH, Filter, Record
 from nav.filter.recovery import PATIENCE, agree, inflate
-from nav.filter.states import ALL, X_PATH, X_PT, X_SIZE
+from nav.filter.states import X_PATH, X_PT, X_SIZE
 from nav.types import ImuSample, S, Vector
 
 CAPACITY: Final = 2048
@@ -130,7 +130,7 @@ class Timeline:
         self.t_ns = t_ns
         if not self.behind and live.cursor < len(self._log) and self._log[live.cursor].t_ns <= t_ns:
             self._apply_due(live, t_ns)
-            good = solution_row(live.x, live.P, self.par, self._scratch[:ALL], row)
+            good = solution_row(live.x, live.P, self.par, row)
         return row if good else None
 
     def bridge(self, t_ns: int, dt: float) -> None:
@@ -306,7 +306,7 @@ class Timeline:
     def solution(self) -> Vector | None:
         """The solution row (S.SIZE,) of the live filter as it is now, None when it is not finite."""
         row = np.empty(S.SIZE)
-        good = solution_row(self.live.x, self.live.P, self.par, self._scratch[:ALL], row)
+        good = solution_row(self.live.x, self.live.P, self.par, row)
         return row if good else None
 
     def _apply_due(self, f: Filter, now_ns: int) -> None:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE
 from nav.filter.states import P_LO, X_A, X_F, X_PATH, X_PT, X_QV, X_TICK_COV, X_TICK_VAR, X_W
-from nav.jit import kernel
+from nav.jit import in_place, kernel
 from nav.rotation import rotate
-from nav.strapdown.kernels import X_C, X_Q, X_V
+from nav.strapdown.kernels import M_C, X_C, X_Q, X_V
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -30,7 +30,7 @@ def matrix(q: Vector) -> Matrix:
     return C
 
 
-@kernel
+@in_place
 def undo_axes(x: Vector, place: int, out: Vector) -> None:
     """Put the inverse of ``I + M`` into ``out`` (9,), M (9,) standing at ``place`` in ``x``."""
     a, b, c = 1.0 + x[place], x[place + 1], x[place + 2]
@@ -43,7 +43,7 @@ def undo_axes(x: Vector, place: int, out: Vector) -> None:
     out[6], out[7], out[8] = s * w, s * (b * g - a * h), s * (a * e - b * d)
 
 
-@kernel
+@in_place
 def times(m: Vector, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Matrix ``m`` (9,), row by row, times a vector."""
     return (
@@ -53,7 +53,7 @@ def times(m: Vector, x: float, y: float, z: float) -> tuple[float, float, float]
     )
 
 
-@kernel
+@in_place
 def eb_rate(x: Vector) -> tuple[float, float, float]:
     """w_eb_b: rate of b with respect to the Earth, over the last update."""
     ix, iy, iz = rotate(
@@ -138,25 +138,27 @@ def vehicle_row(x: Vector, par: Vector, axis: int, u: Vector, age: float, H: Mat
         H[row, 16] = -u[1]
 
 
-@kernel
+@in_place
 def lose_path(x: Vector) -> None:
     """The path since the last odometer epoch is not known: nothing is compared with it before the next."""
     x[X_PT] = -_NEVER
     x[X_TICK_VAR] = -1.0
 
 
-@kernel
-def carry_tick(x: Vector, C: Vector, dt: float) -> None:
-    """Carry what the errors have to do with the odometer's last tick on by ``dt`` s, with ``C`` (9,) C_nb.
+@in_place
+def carry_tick(x: Vector, mid: Vector, dt: float) -> None:
+    """Carry what the errors have to do with the odometer's last tick on by ``dt`` s.
 
-    As the errors move, but for biases, in the fraction of a second to the next epoch.
+    As the errors move, but for biases, in the fraction of a second to the next epoch. ``mid`` is the
+    strapdown kernel's record of the interval.
     """
-    f, t = x[X_F : X_F + 3], x[X_TICK_COV : X_TICK_COV + 9]
-    fx = C[0] * f[0] + C[1] * f[1] + C[2] * f[2]
-    fy = C[3] * f[0] + C[4] * f[1] + C[5] * f[2]
-    fz = C[6] * f[0] + C[7] * f[1] + C[8] * f[2]
+    f0, f1, f2 = x[X_F], x[X_F + 1], x[X_F + 2]
+    fx = mid[M_C] * f0 + mid[M_C + 1] * f1 + mid[M_C + 2] * f2
+    fy = mid[M_C + 3] * f0 + mid[M_C + 4] * f1 + mid[M_C + 5] * f2
+    fz = mid[M_C + 6] * f0 + mid[M_C + 7] * f1 + mid[M_C + 8] * f2
+    v, phi = X_TICK_COV + 3, X_TICK_COV + 6
     for i in range(3):
-        t[i] += t[3 + i] * dt
-    t[3] += (fy * t[8] - fz * t[7]) * dt
-    t[4] += (fz * t[6] - fx * t[8]) * dt
-    t[5] += (fx * t[7] - fy * t[6]) * dt
+        x[X_TICK_COV + i] += x[v + i] * dt
+    x[v] += (fy * x[phi + 2] - fz * x[phi + 1]) * dt
+    x[v + 1] += (fz * x[phi] - fx * x[phi + 2]) * dt
+    x[v + 2] += (fx * x[phi + 1] - fy * x[phi]) * dt

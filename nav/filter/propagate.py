@@ -36,7 +36,7 @@ from nav.filter.states import (
     X_ROLL,
     X_W,
 )
-from nav.jit import kernel
+from nav.jit import in_place
 from nav.rotation import logarithm, multiply, rotate
 from nav.strapdown.coning import MOST_SAMPLES
 from nav.strapdown.control import U_H, U_KH, U_SIZE
@@ -75,19 +75,17 @@ def row_size(samples: int) -> int:
 
 REST_SIZE: Final = 14
 
-# Places in the scratch, behind a first row of `solution_row`.
-_D: Final = 48  # samples without biases, 6 * MOST_SAMPLES
+# Places in the scratch, behind that of `predict`.
+_D: Final = PREDICT_SIZE  # samples without biases, 6 * MOST_SAMPLES
 _U: Final = _D + 6 * MOST_SAMPLES  # control vector
 _INC: Final = _U + U_SIZE  # what the samples add up to, 6
 _AXES: Final = _INC + 6  # what takes errors of scale and axes out, of gyros and accelerometers, 18
-_FELT: Final = _AXES + 18  # specific force less that at rest, 3
-WORK_MID: Final = _FELT + 3  # record of the middle of the update, M_SIZE
-_PREDICT: Final = (WORK_MID + M_SIZE + 63) // 64 * 64  # of `predict`, where a line of the cache begins
-WORK_SIZE: Final = _PREDICT + PREDICT_SIZE
+WORK_MID: Final = _AXES + 18  # record of the middle of the update, M_SIZE
+WORK_SIZE: Final = WORK_MID + M_SIZE
 """Length of the scratch vector that the kernels share."""
 
 
-@kernel
+@in_place
 def _add_vibration(P: Matrix, mid: Vector, gyro: float, accel: float, row: Vector) -> None:
     """Add to ``P`` what aliased vibration does to attitude and velocity over one row, axis by axis of b.
 
@@ -115,7 +113,7 @@ def _add_vibration(P: Matrix, mid: Vector, gyro: float, accel: float, row: Vecto
                 P[3 + i, 3 + j] += c * v
 
 
-@kernel
+@in_place
 def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> None:
     """Nominal state ``x`` and covariance ``P`` through one row of the increment ring, in place.
 
@@ -180,23 +178,24 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
     x[X_A], x[X_A + 1], x[X_A + 2] = (x[X_V] - vx) / dt, (x[X_V + 1] - vy) / dt, (x[X_V + 2] - vz) / dt
 
     # path of the odometer point in v
-    c = mid[M_C : M_C + 9]
+    c0, c1, c2, c3, c4 = mid[M_C], mid[M_C + 1], mid[M_C + 2], mid[M_C + 3], mid[M_C + 4]
+    c5, c6, c7, c8 = mid[M_C + 5], mid[M_C + 6], mid[M_C + 7], mid[M_C + 8]
     ux, uy, uz = mid[M_V], mid[M_V + 1], mid[M_V + 2]
     ix, iy, iz = mid[M_IE] + mid[M_EN], mid[M_IE + 1] + mid[M_EN + 1], mid[M_IE + 2] + mid[M_EN + 2]
-    wx = x[X_W] - (c[0] * ix + c[3] * iy + c[6] * iz)
-    wy = x[X_W + 1] - (c[1] * ix + c[4] * iy + c[7] * iz)
-    wz = x[X_W + 2] - (c[2] * ix + c[5] * iy + c[8] * iz)
+    wx = x[X_W] - (c0 * ix + c3 * iy + c6 * iz)
+    wy = x[X_W + 1] - (c1 * ix + c4 * iy + c7 * iz)
+    wz = x[X_W + 2] - (c2 * ix + c5 * iy + c8 * iz)
     lx, ly, lz = par[P_LO], par[P_LO + 1], par[P_LO + 2]
-    bx = c[0] * ux + c[3] * uy + c[6] * uz + wy * lz - wz * ly
-    by = c[1] * ux + c[4] * uy + c[7] * uz + wz * lx - wx * lz
-    bz = c[2] * ux + c[5] * uy + c[8] * uz + wx * ly - wy * lx
+    bx = c0 * ux + c3 * uy + c6 * uz + wy * lz - wz * ly
+    by = c1 * ux + c4 * uy + c7 * uz + wz * lx - wx * lz
+    bz = c2 * ux + c5 * uy + c8 * uz + wx * ly - wy * lx
     bx, by, bz = rotate(x[X_QV], x[X_QV + 1], x[X_QV + 2], x[X_QV + 3], bx, by, bz)
     x[X_PATH] += bx * dt
     x[X_PATH + 1] += by * dt
     x[X_PATH + 2] += bz * dt
     x[X_PT] += dt
 
-    carry_tick(x, c, dt)
+    carry_tick(x, mid, dt)
     if row[ROW_GAP] != 0.0:
         lose_path(x)
 
@@ -207,28 +206,14 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
     x[X_GB], x[X_GB + 1] = keep * (gx + turn * gy), keep * (gy - turn * gx)
     x[X_GB + 2] *= keep
 
-    felt = work[_FELT : _FELT + 3]
-    for i in range(3):
-        felt[i] = x[X_F + i] - x[X_F0 + i]
-    predict(
-        P,
-        mid,
-        x[X_W : X_W + 3],
-        felt,
-        dt,
-        par,
-        row[ROW_NOISE],
-        extra_v,
-        extra_phi,
-        work[_PREDICT:],
-    )
+    predict(P, mid, x, dt, par, row[ROW_NOISE], extra_v, extra_phi, work)
     if fed:
         feedback(P, u[U_KH], u[U_KH + 1], u[U_KH + 2], row[ROW_H_Q], dt)
     if row[ROW_GAP] == 0.0 and (par[P_VIB_G] > 0.0 or par[P_VIB_A] > 0.0):
         _add_vibration(P, mid, par[P_VIB_G], par[P_VIB_A], row)
 
 
-@kernel
+@in_place
 def replay(
     x: Vector,
     P: Matrix,
@@ -254,7 +239,7 @@ def replay(
     return u
 
 
-@kernel
+@in_place
 def _sigma(P: Matrix, first: int, a: float, b: float, c: float) -> float:
     """Standard deviation of a combination (a, b, c) of three neighbouring states."""
     i, j, k = first, first + 1, first + 2
@@ -263,19 +248,19 @@ def _sigma(P: Matrix, first: int, a: float, b: float, c: float) -> float:
     return float(np.sqrt(max(v, 0.0)))
 
 
-@kernel
-def solution_row(x: Vector, P: Matrix, par: Vector, h: Vector, out: Vector) -> bool:
+@in_place
+def solution_row(x: Vector, P: Matrix, par: Vector, out: Vector) -> bool:
     """Fill ``out`` (S.SIZE,) with the solution of the output point in vehicle axes, layout `nav.types.S`.
 
-    ``h`` (ALL,) is scratch. Returns False when anything in it is not finite.
+    Returns False when anything in it is not finite.
     """
-    C = x[X_C : X_C + 9]
     qw, qx, qy, qz = x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3]
     # sine and cosine of wander; at a pole any azimuth will do
-    cos_lat = np.hypot(C[6], C[7])
-    sa, ca = (C[6] / cos_lat, C[7] / cos_lat) if cos_lat > 1e-14 else (0.0, 1.0)
-    lat = np.arctan2(C[8], cos_lat)
-    lon = np.arctan2(C[5], C[2])
+    ex, ey, ez = x[X_C + 6], x[X_C + 7], x[X_C + 8]
+    cos_lat = np.hypot(ex, ey)
+    sa, ca = (ex / cos_lat, ey / cos_lat) if cos_lat > 1e-14 else (0.0, 1.0)
+    lat = np.arctan2(ez, cos_lat)
+    lon = np.arctan2(x[X_C + 5], x[X_C + 2])
     height = x[X_H]
     vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
     px, py, pz = par[P_LP], par[P_LP + 1], par[P_LP + 2]
@@ -283,11 +268,11 @@ def solution_row(x: Vector, P: Matrix, par: Vector, h: Vector, out: Vector) -> b
     ux, uy, uz = 0.0, 0.0, 0.0
     if px != 0.0 or py != 0.0 or pz != 0.0:
         ax, ay, az = rotate(qw, qx, qy, qz, px, py, pz)
-        ix, iy, iz = rotate(qw, -qx, -qy, -qz, EARTH_RATE * C[6], EARTH_RATE * C[7], EARTH_RATE * C[8])
+        ix, iy, iz = rotate(qw, -qx, -qy, -qz, EARTH_RATE * ex, EARTH_RATE * ey, EARTH_RATE * ez)
         wx, wy, wz = x[X_W] - ix, x[X_W + 1] - iy, x[X_W + 2] - iz
         ux, uy, uz = rotate(qw, qx, qy, qz, wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
         vx, vy, vz = vx + ux, vy + uy, vz + uz
-        r_m, r_n = radii(C[8])
+        r_m, r_n = radii(ez)
         lat += (sa * ax + ca * ay) / (r_m + height)
         if cos_lat > 1e-14:
             lon += (ca * ax - sa * ay) / ((r_n + height) * cos_lat)
@@ -323,12 +308,13 @@ def solution_row(x: Vector, P: Matrix, par: Vector, h: Vector, out: Vector) -> b
             o = 3 * kind
             lx, ly, lz = (ax, ay, az) if kind == 0 else (ux, uy, uz)
             # e . (dp + l x phi) = e . dp + (e x l) . phi
-            h[0], h[1], h[2] = ey * lz - ez * ly, ez * lx - ex * lz, ex * ly - ey * lx
+            hx, hy, hz = ey * lz - ez * ly, ez * lx - ex * lz, ex * ly - ey * lx
             s = _sigma(P, o, ex, ey, ez) ** 2
             for i in range(3):
-                e = ex if i == 0 else (ey if i == 1 else ez)
-                for j in range(3):
-                    s += 2.0 * e * h[j] * P[o + i, 6 + j] + h[i] * h[j] * P[6 + i, 6 + j]
+                e, h = (ex, hx) if i == 0 else ((ey, hy) if i == 1 else (ez, hz))
+                s += 2.0 * e * hx * P[o + i, 6] + h * hx * P[6 + i, 6]
+                s += 2.0 * e * hy * P[o + i, 7] + h * hy * P[6 + i, 7]
+                s += 2.0 * e * hz * P[o + i, 8] + h * hz * P[6 + i, 8]
             out[16 + o + axis] = np.sqrt(max(s, 0.0))
         s = _sigma(P, 6, ex, ey, ez) ** 2
         s += (ex * rx + ey * ry + ez * rz) ** 2 * x[X_ROLL]
@@ -360,7 +346,7 @@ def solution_row(x: Vector, P: Matrix, par: Vector, h: Vector, out: Vector) -> b
     return bool(np.isfinite(total))
 
 
-@kernel
+@in_place
 def advance(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector, rest: Vector, out: Vector) -> bool:
     """Propagate through the samples in ``row``, fill ``out``; False when not finite.
 
@@ -381,4 +367,4 @@ def advance(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector, rest: 
         rest[8 + i] += a * a / (dt * dt)
         rest[11 + i] += v * v / (dt * dt)
     propagate(x, P, par, work, row)
-    return solution_row(x, P, par, work[: P.shape[0]], out)
+    return solution_row(x, P, par, out)

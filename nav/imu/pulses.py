@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from nav.jit import kernel
+from nav.jit import in_place
 from nav.types import Vector
 
 _SMALLEST_TRIPLE_PRODUCT: Final = 1e-3
@@ -114,7 +114,7 @@ def compensate_readable(
     return dtheta, dv
 
 
-@kernel
+@in_place
 def compensate(table: Vector, counts: Vector, tau: float, dtheta: Vector, dv: Vector) -> None:
     """Write the increments of one sample: the twin of `compensate_readable`.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE, curvature, gravity_north, normal_gravity, radii
-from nav.jit import kernel
+from nav.jit import in_place, kernel
 from nav.rotation import exponential, multiply
 from nav.strapdown.coning import BEND, SLOPE, coefficient_table
 from nav.strapdown.control import U_FREE, U_H, U_KH, U_KV, U_NORTH, U_TURN, U_V, U_WC
@@ -39,12 +39,12 @@ M_SIZE: Final = 25
 _CONING: Final = coefficient_table()
 
 
-@kernel
+@in_place
 def _cross(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> tuple[float, float, float]:
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-@kernel
+@in_place
 def _third_order(
     d: Vector, n: int, sx: float, sy: float, sz: float, vx: float, vy: float, vz: float
 ) -> tuple[float, float, float]:
@@ -76,7 +76,7 @@ def _third_order(
     return lx / 240.0 + (kx + hx) / 360.0, ly / 240.0 + (ky + hy) / 360.0, lz / 240.0 + (kz + hz) / 360.0
 
 
-@kernel
+@in_place
 def increments(d: Vector, n: int, inc: Vector) -> None:
     """Rotation vector and velocity increment, ``inc`` (6,), of ``n`` = 1 to 6 samples.
 
@@ -122,7 +122,7 @@ def increments(d: Vector, n: int, inc: Vector) -> None:
     inc[5] = vz + first * tz + second * (px * ty - py * tx)
 
 
-@kernel
+@in_place
 def rotate_columns(x: Vector, c: int, rx: float, ry: float, rz: float) -> None:
     """Multiply the matrix at ``x[c:c+9]`` (by rows) from the right by the rotation of a vector, rad."""
     w, i, j, k = exponential(rx, ry, rz)
@@ -150,7 +150,7 @@ def rotate_columns(x: Vector, c: int, rx: float, ry: float, rz: float) -> None:
         x[o + 2] = 0.5 * (a2 * (3.0 - s22) - a0 * s02 - a1 * s12)
 
 
-@kernel
+@in_place
 def turn_attitude(x: Vector, px: float, py: float, pz: float, zx: float, zy: float, zz: float) -> None:
     """Turn the quaternion at the head of ``x`` by the rotation vectors of b, (px, py, pz), and of n, rad."""
     qw, qx, qy, qz = exponential(-zx, -zy, -zz)
@@ -161,7 +161,7 @@ def turn_attitude(x: Vector, px: float, py: float, pz: float, zx: float, zy: flo
     x[0], x[1], x[2], x[3] = qw * norm, qx * norm, qy * norm, qz * norm
 
 
-@kernel
+@in_place
 def vertical_rate(u: Vector, ex: float, ey: float, ez: float, tx: float, ty: float) -> float:
     """Vertical transport rate (rad/s) at polar axis (ex, ey, ez) in n with the level one (tx, ty).
 
@@ -173,7 +173,7 @@ def vertical_rate(u: Vector, ex: float, ey: float, ez: float, tx: float, ty: flo
     return float(rate)
 
 
-@kernel
+@in_place
 def strapdown(x: Vector, inc: Vector, dt: float, u: Vector, mid: Vector) -> None:
     """One navigation update of the state at the head of ``x`` (places X_), in place.
 
@@ -271,7 +271,7 @@ def strapdown(x: Vector, inc: Vector, dt: float, u: Vector, mid: Vector) -> None
     mid[24] = 2.0 * gravity / (np.sqrt(r_m * r_n) + h_mid)
 
 
-@kernel
+@in_place
 def take(samples: Matrix, first: int, n: int, d: Vector) -> None:
     """Put ``n`` rows of ``samples`` (M, 6) into ``d`` (6 n,): angle increments, then velocity increments."""
     for i in range(n):

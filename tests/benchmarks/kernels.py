@@ -23,7 +23,7 @@ from nav.filter import states as st
 from nav.filter.covariance import predict_readable
 from nav.filter.propagate import ROW_D, ROW_DT, ROW_N, ROW_NOISE, WORK_SIZE, propagate, row_size
 from nav.imu.pulses import Calibration, compensate, compensate_readable
-from nav.jit import kernel
+from nav.jit import in_place, kernel
 from nav.strapdown import mechanize
 from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
 from nav.types import Vector
@@ -61,7 +61,7 @@ def start() -> tuple[Vector, Vector, Vector]:
     return x, P, par
 
 
-@kernel
+@in_place
 def fast_steps(
     x: Vector, P: Vector, par: Vector, table: Vector, counts: Vector, row: Vector, work: Vector, n: int
 ) -> None:

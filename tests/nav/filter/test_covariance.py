@@ -108,8 +108,7 @@ def test_prediction_is_the_twin(n, turn):
     par[st.P_Q : st.P_Q + st.FULL] = np.linspace(1e-6, 1e-3, st.FULL)
     expected = predict_readable(P, dynamics(mid, y)[:n, :n], par[st.P_Q : st.P_Q + n], DT)
     work = np.zeros(WORK_SIZE)
-    felt = y[st.X_F : st.X_F + 3] - y[st.X_F0 : st.X_F0 + 3]
-    predict(P, mid, y[st.X_W : st.X_W + 3], felt, DT, par, 1.0, 0.0, 0.0, work)
+    predict(P, mid, y, DT, par, 1.0, 0.0, 0.0, work)
     d = np.sqrt(np.diag(expected))
     assert np.max(np.abs(P - expected) / np.outer(d, d)) < 1e-12
     np.testing.assert_array_equal(P, P.T)
