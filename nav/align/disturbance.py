@@ -12,6 +12,8 @@ from nav.types import Vector
 
 EPOCHS: Final = 16  # differences that count as the present
 NEAR, FAR = 2, 4  # epochs between those that a difference takes
+FEWEST: Final = 4
+CHANCE: Final = 2.0
 GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
@@ -20,21 +22,29 @@ class Roughness(NamedTuple):
 
     A cubic has none, so neither gravity, its drift nor a bias shows, only what is different from epoch to
     epoch. They are taken between every `NEAR`-th epoch, since neighbours overlap, and between every `FAR`-th,
-    which sees a slower sway.
+    which sees a slower sway. ``walk`` m/s/sqrt(s): the accelerometers' noise, which shows as well, integrated
+    once or ``twice``, and is none of the epochs'.
     """
 
+    walk: float
+    twice: bool = True
     t: tuple[float, ...] = ()
     z: tuple[Vector, ...] = ()
-    near: tuple[float, ...] = ()
-    far: tuple[float, ...] = ()
+    near: tuple[tuple[float, float], ...] = ()  # mean squares, and what the walk gives them
+    far: tuple[tuple[float, float], ...] = ()
 
     @property
     def sigma(self) -> float | None:
         """Standard deviation of one component of an epoch, or None while there are too few."""
-        if len(self.near) < 4:
+        if len(self.near) < FEWEST:
             return None
-        near = sum(self.near) / len(self.near)
-        return math.sqrt(max(near, sum(self.far) / len(self.far)) if len(self.far) >= 4 else near)
+        return math.sqrt(max(_beyond(self.near), _beyond(self.far) if len(self.far) >= FEWEST else 0.0))
+
+
+def _beyond(squares: tuple[tuple[float, float], ...]) -> float:
+    """Mean square beyond the walk's, where it is more than chance."""
+    seen, walk = (sum(part) / len(squares) for part in zip(*squares, strict=True))
+    return seen - walk if seen > CHANCE * walk else 0.0
 
 
 def follow(rough: Roughness, t: float, z: Vector) -> Roughness:
@@ -42,19 +52,23 @@ def follow(rough: Roughness, t: float, z: Vector) -> Roughness:
     times, values = (*rough.t, t)[-4 * FAR - 1 :], (*rough.z, z)[-4 * FAR - 1 :]
     near, far = rough.near, rough.far
     if len(times) > 4 * NEAR:
-        near = (*near, _square(times[::-NEAR][:5], values[::-NEAR][:5]))[-EPOCHS:]
+        near = (*near, _square(rough, times[::-NEAR][:5], values[::-NEAR][:5]))[-EPOCHS:]
     if len(times) > 4 * FAR:
-        far = (*far, _square(times[::FAR], values[::FAR]))[-EPOCHS:]
-    return Roughness(times, values, near, far)
+        far = (*far, _square(rough, times[::FAR], values[::FAR]))[-EPOCHS:]
+    return rough._replace(t=times, z=values, near=near, far=far)
 
 
-def _square(times: tuple[float, ...], values: tuple[Vector, ...]) -> float:
-    """Mean square of a component of noise that has this fourth divided difference."""
-    t = np.array(times)
+def _square(rough: Roughness, times: tuple[float, ...], values: tuple[Vector, ...]) -> tuple[float, float]:
+    """Mean square of a component of noise with this fourth divided difference; and what the walk gives."""
+    t = np.array(times) - min(times)
     apart = t[:, None] - t + np.eye(5)
     weights = 1.0 / np.prod(apart, axis=1)
     fourth = weights @ np.array(values)
-    return float(fourth @ fourth) / (3.0 * float(weights @ weights))
+    first, last = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
+    # covariance of white noise, integrated: Brownian motion and its integral
+    walk = rough.walk**2 * (first**2 * (3.0 * last - first) / 6.0 if rough.twice else first)
+    size = float(weights @ weights)
+    return float(fourth @ fourth) / (3.0 * size), float(weights @ walk @ weights) / size
 
 
 class Window(NamedTuple):

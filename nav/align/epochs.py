@@ -1,4 +1,9 @@
-"""Epochs of apparent velocity or displacement, taken into the filter when it is known how rough they are."""
+"""Epochs of apparent velocity or displacement, taken into the filter when it is known how rough they are.
+
+What happens to an IMU (a push, a turn that its gyros did not see, a wheel that slips) looks small in one
+epoch and changes all that follow. So rivals go along for a few epochs each: filters that take something to
+have happened at their first epoch. One that foretells the epochs much better is right.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +13,19 @@ import numpy as np
 
 from nav.align import constant
 from nav.align.apparent import Change, change
-from nav.align.constant import Estimate
+from nav.align.constant import POS, SIZE, THETA, VEL, Estimate
 from nav.align.disturbance import Roughness, follow
 from nav.align.types import AlignConfig
 from nav.types import Vector
 
 SETTLE_S: Final = 25.0  # before that the nine elements are not told apart
 SIGMAS: Final = 6.0
+RIVAL_EPOCHS: Final = 6  # that one goes along
+RIVALS: Final = 3
+EVENT: Final = 150.0  # chi-square; a sway, which is no white noise, gives 80 by chance
+_HAPPENED: Final = np.zeros((SIZE, SIZE))  # covariance of what may have happened: rad, m/s, m
+_HAPPENED[THETA, THETA] = 1e-3**2 * np.eye(3)
+_HAPPENED[VEL, VEL], _HAPPENED[POS, POS] = 0.1**2 * np.eye(3), 0.3**2 * np.eye(3)
 _EYE: Final = np.eye(3)
 
 
@@ -27,14 +38,26 @@ class Epoch(NamedTuple):
     walk: Vector  # (3, 3) m^2/s of the offset
 
 
+class Rival(NamedTuple):
+    """What the estimate is if something happened ``epochs`` ago.
+
+    ``better``: sum of the chi-squares that it foretold them better by, times the variances they were given.
+    """
+
+    estimate: Estimate
+    better: float = 0.0
+    epochs: int = 0
+
+
 class Book(NamedTuple):
     """The estimate at a row, the roughness of the epochs so far, and those that wait for it."""
 
     estimate: Estimate
     row: Vector
-    rough: Roughness = Roughness()
+    rough: Roughness
     waiting: tuple[Epoch, ...] = ()
     taken: int = 0
+    rivals: tuple[Rival, ...] = ()
 
     @property
     def settled(self) -> bool:
@@ -52,27 +75,48 @@ def take(
     z: Vector,
     walk: Vector,
     floor: float,
+    large: float,
 ) -> tuple[Book, float]:
     """Add an epoch at ``row``; returns also by how much it contradicts the others, or 0.
 
     ``bare`` (3,) at ``t`` s is what its roughness is seen in, smooth but for that; ``floor`` is the least
-    standard deviation a component is given.
+    standard deviation a component is given. A single epoch contradicts if it is off by more than ``large``.
     """
     epoch = Epoch(change(book.row, row), H, z, walk)
     rough = follow(book.rough, t, bare)
     usual, now = book.rough.sigma, rough.sigma
-    e, waiting, moved = book.estimate, (*book.waiting, epoch), 0.0
+    e, rivals, waiting, moved = book.estimate, book.rivals, (*book.waiting, epoch), 0.0
     if now is not None:
-        noise = max(floor, now) ** 2 * _EYE
+        variance = max(floor, now) ** 2
         for past in waiting:
-            e = constant.predict(e, past.change, config, past.walk)
+            ahead = constant.predict(e, past.change, config, past.walk)
             if past is epoch and usual is not None and t > SETTLE_S:
-                nu = constant.innovation(e, H, z, max(floor, usual) ** 2 * _EYE)
-                if nu.chi2 > SIGMAS**2 + 3.0:
-                    moved = float(np.linalg.norm(nu.nu))
-            e = constant.update(e, past.H, past.z, noise)
+                seen = constant.innovation(ahead, H, z, max(floor, usual) ** 2 * _EYE)
+                size = float(np.linalg.norm(seen.nu))
+                rivals, better = _rivalled(book, config, epoch, ahead, variance)
+                if better > EVENT or (seen.chi2 > SIGMAS**2 + 3.0 and size > large):
+                    moved = size
+            e = constant.update(ahead, past.H, past.z, variance * _EYE)
         waiting = ()
-    return Book(e, row, rough, waiting, book.taken + 1), moved
+    return Book(e, row, rough, waiting, book.taken + 1, rivals), moved
+
+
+def _rivalled(
+    book: Book, config: AlignConfig, epoch: Epoch, ahead: Estimate, variance: float
+) -> tuple[tuple[Rival, ...], float]:
+    """Let the rivals take an epoch, ``ahead`` of which the estimate is; and how much better the best is."""
+    noise, rivals, best = variance * _EYE, book.rivals, 0.0
+    if book.taken % (RIVAL_EPOCHS // RIVALS) == 0:
+        rivals = (*rivals, Rival(book.estimate._replace(P=book.estimate.P + _HAPPENED)))
+    known = constant.innovation(ahead, epoch.H, epoch.z, noise)
+    left = []
+    for estimate, better, epochs in rivals:
+        e = constant.predict(estimate, epoch.change, config, epoch.walk)
+        better += (known.chi2 - constant.innovation(e, epoch.H, epoch.z, noise).chi2) * variance
+        best = max(best, better / variance)
+        if epochs + 1 < RIVAL_EPOCHS:
+            left.append(Rival(constant.update(e, epoch.H, epoch.z, noise), better, epochs + 1))
+    return tuple(left), best
 
 
 def bring(book: Book, config: AlignConfig, row: Vector, walk: Vector) -> Book:

@@ -32,7 +32,7 @@ from nav.align.apparent_result import (
 )
 from nav.align.apparent_stage import Taken, blank, duration, progress, stepping, without_place
 from nav.align.constant import START, VEL, Solved
-from nav.align.disturbance import spread
+from nav.align.disturbance import Roughness, spread
 from nav.align.epochs import Book, bring, take
 from nav.align.handover import Place, imu_place
 from nav.align.still import Still
@@ -79,7 +79,7 @@ def _aid(state: Sway, sample: Sample) -> Taken[Sway]:
     return state._replace(still=still), reason
 
 
-def _begin(state: Sway, sample: ImuSample) -> Taken[Sway]:
+def _begin(state: Sway, sample: ImuSample, twice: bool) -> Taken[Sway]:
     """Begin with the first inertial sample that has a place: b0 is where its interval begins."""
     config, still = state.config, state.still
     place = config.position
@@ -89,10 +89,11 @@ def _begin(state: Sway, sample: ImuSample) -> Taken[Sway]:
         waited = state.waited + sample.dt
         return state._replace(waited=waited), without_place(waited)
     track = tracker(sample.t_ns - round(sample.dt * 1e9))
+    estimate = constant.begin(config, START_SPEED, PLACE, _ZERO)
     state = state._replace(
         place=place,
         track=track,
-        book=Book(constant.begin(config, START_SPEED, PLACE, _ZERO), track.row.copy()),
+        book=Book(estimate, track.row.copy(), Roughness(config.velocity_random_walk, twice)),
         pair=pair(track.row, EPOCH_S, 3),
         instant=spread(0, *INSTANT_S),
         status=blank(config, place),
@@ -133,7 +134,7 @@ def _epoch(state: Sway, mean: Mean, vectors: bool) -> Taken[Sway]:
     assert book is not None
     H, seconds, curved = against_gravity(mean, lat, height)
     z = mean.values
-    book, moved = take(book, config, mean.row, seconds, z - curved, H, z, _NONE, config.sway * SWAY_S)
+    book, moved = take(book, config, mean.row, seconds, z - curved, H, z, _NONE, config.sway * SWAY_S, PUSHED)
     return _taken(state._replace(book=book), moved, "m", True, vectors)
 
 
@@ -144,15 +145,15 @@ def _instant(state: Sway, row: Vector) -> Taken[Sway]:
     seconds, z = float(row[A_T]), row[A_V : A_V + 3].copy()
     H = constant.design(gravity_integrals(lat, height, seconds)[0])
     H[:, VEL], H[:, START] = -_EYE, -_EYE
-    book, moved = take(book, config, row, seconds, z, H, z, _NONE, config.sway)
+    book, moved = take(book, config, row, seconds, z, H, z, _NONE, config.sway, PUSHED)
     state = state._replace(book=book, instant=seconds + spread(book.taken, *INSTANT_S))
     return _taken(state, moved, "m/s", False, True)
 
 
 def _taken(state: Sway, moved: float, unit: str, twice: bool, vectors: bool) -> Taken[Sway]:
     assert state.book is not None
-    if moved > PUSHED:
-        return state, f"the base was pushed or moves: {moved:.2f} {unit}"
+    if moved > 0.0:
+        return state, f"the base was pushed or moves, or a gyro failed: {moved:.3f} {unit} in an epoch"
     if not state.book.settled:
         return _waiting(state), None
     return _solve(state, twice, vectors, False)
@@ -221,7 +222,8 @@ def _since(state: Sway) -> tuple[Vector, Vector, Vector]:
 
 
 def _stage(twice: bool, vectors: bool) -> Stage[Sway]:
-    return Stage(init, stepping(_aid, _begin, partial(_take, twice=twice, vectors=vectors), _since), finish)
+    begin, take_ = partial(_begin, twice=twice), partial(_take, twice=twice, vectors=vectors)
+    return Stage(init, stepping(_aid, begin, take_, _since), finish)
 
 
 SINGLE: Final = _stage(twice=False, vectors=True)

@@ -30,7 +30,9 @@ MOUNTING_LIMIT: Final = math.radians(4.0)
 LEVEL_LOST: Final = 0.3  # rad
 SPEED_EVERY_NS: Final = 90_000_000  # more is not kept
 SPEED_BEFORE_NS: Final = 3_000_000_000  # of the window's first fix
+UNMODELLED: Final = math.radians(0.1)  # rad: what the window's straight sensors leave out
 _ZERO: Final = np.zeros(3)
+_EYE: Final = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,10 +190,11 @@ def _status(window: Window, fit: Fit | None, mounting: Mounting | None) -> Align
     mounted = config.C_vb is not None or (
         mounting is not None and float(mounting.sigma[2]) < max(MOUNTING_LIMIT, 1.5 * config.sigma_heading)
     )
-    q = quat_from_dcm(fit.C @ fit.rows[-1][R].reshape(3, 3))
+    end = fit.rows[-1]
+    J = _end_jacobian(fit, end)[6:9]
     return AlignStatus(
-        estimate=q if fit.trusted else None,
-        covariance=fit.cov[0:3, 0:3],
+        estimate=quat_from_dcm(_attitude(fit, end, window.epochs[-1].fix.lat)) if fit.trusted else None,
+        covariance=J @ fit.cov @ J.T + _EYE * UNMODELLED**2,
         limit=np.array([level, level, fit.formal]),
         progress=min(1.0, config.sigma_heading / sigma) * (1.0 if mounted else 0.9),
         done=fit.trusted and sigma < config.sigma_heading and mounted,
@@ -216,8 +219,7 @@ def finish(state: Match) -> NavInit:
         extend(total, piece, _ZERO, _ZERO)
     g, w_ie = gravity_g(last.lat, last.height), earth_rate_g(last.lat)
     T, dt = float(total[DT]), float(after[DT])
-    turn = dcm_from_quat(quat_from_rotvec(-T * w_ie))
-    C_end = turn @ fit.C @ total[R].reshape(3, 3)
+    C_end = _attitude(fit, total, last.lat)
     V_g = fit.C @ total[V]
     moved = local([epochs[0].fix, last])[1]
     v = v0 + V_g + T * g - 2.0 * np.cross(w_ie, moved) + 0.5 * T**2 * np.cross(w_ie, g)
@@ -240,6 +242,12 @@ def finish(state: Match) -> NavInit:
     place = xyz_to_geodetic(*(ecef(last.lat, last.lon, last.height) + quat_rotate(q_eg, step_g)))
     turned = _about_up(float(convergence(first.lat, first.lon, place[0], place[1])))
     return _hand_over(state, fit, total, C_end, v, place, turned)
+
+
+def _attitude(fit: Fit, total: Vector, lat: float) -> Vector:
+    """C_gb (3, 3) at the end of ``total``: the gyros carry it on, and the Earth turns under it."""
+    turn = dcm_from_quat(quat_from_rotvec(-float(total[DT]) * earth_rate_g(lat)))
+    return np.asarray(turn @ fit.C @ total[R].reshape(3, 3))
 
 
 def _about_up(angle: float) -> Vector:
@@ -290,10 +298,10 @@ def _hand_over(
     floor = np.full(3, VELOCITY_FLOOR)
     if last.sigma_velocity is not None:
         floor = np.hypot(floor, last.sigma_velocity)
-    # what the window's straight sensors do not model goes on top: a floor, uncorrelated
+    # what is not modelled goes on top: a floor, uncorrelated
     cov[0:3, 0:3] += np.diag(sigma_p**2)
     cov[3:6, 3:6] += np.diag(floor**2)
-    cov[6:9, 6:9] += np.eye(3) * (math.radians(0.1) ** 2)
+    cov[6:9, 6:9] += _EYE * UNMODELLED**2
     sigma = np.sqrt(np.diag(cov))
     if config.C_vb is not None:
         C_vb, sigma_mounting = config.C_vb, np.zeros(3)

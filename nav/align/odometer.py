@@ -42,6 +42,7 @@ from nav.align.apparent_epoch import Mean, Pair, against_gravity, close, fill, p
 from nav.align.apparent_result import attitude_now, contradiction, handed, poor_gyros, velocity_now
 from nav.align.apparent_stage import Taken, blank, due, duration, progress, stepping, without_place
 from nav.align.constant import WHEEL, Solved
+from nav.align.disturbance import Roughness
 from nav.align.epochs import Book, bring, take
 from nav.align.handover import Place, imu_place
 from nav.align.level import level_dcm
@@ -114,11 +115,12 @@ def _begin(state: Ride, sample: ImuSample) -> Taken[Ride]:
     track = tracker(t_ns)
     sigma = UNMOUNTED if config.C_vb is None else config.sigma_mounting
     wheel = np.array([config.odometer_scale, sigma, sigma])
+    estimate = constant.begin(config, START_SPEED, PLACE, wheel)
     zero, row = _ZERO, track.row.copy()
     state = state._replace(
         track=track,
         reckoning=Reckoning(row, t_ns, zero, zero, zero, zero, zero, zero, zero, zero),
-        book=Book(constant.begin(config, START_SPEED, PLACE, wheel), row),
+        book=Book(estimate, row, Roughness(config.velocity_random_walk)),
         stiffness=gravity_change(place[0], place[2]),
         status=blank(config, place),
         now=imu_place(place, _ZERO),  # there and back: compiled now, not at the first epoch
@@ -215,10 +217,10 @@ def _epoch(state: Ride, mean: Mean) -> Taken[Ride]:
     bare = z - curved - wheel @ book.estimate.x[WHEEL]
     across = attitude(mean.row) @ state.axes[:, [0, 2]] * config.slip
     walk = SLIP_S * across @ across.T
-    book, moved = take(book, config, mean.row, seconds, bare, H, z, walk, FLOOR)
+    book, moved = take(book, config, mean.row, seconds, bare, H, z, walk, FLOOR, SLIPPED)
     state = state._replace(book=book)
-    if moved > SLIPPED:
-        return state, f"wheel slip: the odometer is {moved:.1f} m off what the accelerometers say"
+    if moved > 0.0:
+        return state, f"wheel slip: the odometer is {moved:.2f} m off what the accelerometers say"
     if not book.settled:
         return _waiting(state), None
     return _solve(state, False)
