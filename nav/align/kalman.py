@@ -24,8 +24,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nav.align.static import SIGMAS, fine_status, go_on, nav_init, standing_at
-from nav.align.still import PUSHED, Block, Standing, standing
+from nav.align.static import fine_status, go_on, nav_init, standing_at
+from nav.align.still import PUSHED, Block, Lean, Standing, contradiction, standing
 from nav.align.types import AlignConfig, NavInit, Stage
 from nav.earth import earth_rate_g, gravity_g, normal_gravity
 from nav.errors.psi import alignment_dynamics
@@ -63,6 +63,7 @@ class Filter(NamedTuple):
     x: Vector  # (12,) not fed back; places that the model lacks stay zero
     P: Vector  # (12, 12); of the places that the model lacks as the coarse stage left it
     window: Vector  # (3,) sums of weights, and of weighted level specific force
+    lean: Lean = Lean()
     blocks: int = 0  # in the window
     seconds: float = 0.0
 
@@ -121,17 +122,17 @@ def _update(state: Standing[Filter], block: Block, model: Model) -> tuple[Standi
         window, blocks = own.window, 0
         kalman.H = np.eye(12)[np.ix_(measured, keep)]
         kalman.R = np.eye(len(measured)) * config.sway**2
-        z, floor = v[measured], PUSHED
+        z, floor, unit = v[measured], PUSHED, "m/s"
     else:
         window, blocks, z, back = _faded(config, own, gained[:2] / dt, dt)
         # the mean is of the window's middle
         kalman.H = F[np.ix_(measured, keep)] @ _transition(F[part], -back)
         kalman.R = np.eye(2) * _mean_noise(config, dt)
-        floor = TILTED
-    reason = None
+        floor, unit = TILTED, "m/s^2"
+    reason, leaning = None, own.lean
     if blocks == 0:
         kalman.update(z.reshape(-1, 1))
-        reason = _contradiction(kalman.y, kalman.S, floor, model)
+        leaning, reason = contradiction(leaning, kalman.y.ravel(), kalman.S, floor, unit)
     x, P = np.zeros(12), own.P.copy()
     x[keep] = np.asarray(kalman.x, dtype=np.float64).ravel()
     P[part] = 0.5 * (np.asarray(kalman.P, dtype=np.float64) + np.asarray(kalman.P, dtype=np.float64).T)
@@ -142,7 +143,7 @@ def _update(state: Standing[Filter], block: Block, model: Model) -> tuple[Standi
         biases = biases + np.concatenate([-C.T @ x[_EPS], C.T @ x[_NAB]])
         x = np.zeros(12)
     seconds = own.seconds + dt
-    own = Filter(given, C, v, x, P, window, blocks, seconds)
+    own = Filter(given, C, v, x, P, window, leaning, blocks, seconds)
     state = state._replace(own=own, biases=biases)
     return fine_status(state, seconds, dcm_from_quat(quat_from_rotvec(x[_PHI])) @ C, P), reason
 
@@ -186,17 +187,6 @@ def _mean_noise(config: AlignConfig, dt: float) -> float:
     w /= np.sum(w)
     edges = np.diff(np.concatenate([[0.0], w, [0.0]]))
     return float(w @ w * config.velocity_random_walk**2 / dt + edges @ edges * (config.sway / dt) ** 2)
-
-
-def _contradiction(y: Vector, S: Vector, floor: float, model: Model) -> str | None:
-    """Whether an innovation is no standstill's, in words."""
-    y, S = np.asarray(y, dtype=np.float64).ravel(), np.asarray(S, dtype=np.float64)
-    size = float(np.linalg.norm(y))
-    if float(y @ np.linalg.solve(S, y)) <= SIGMAS**2 or size <= floor:
-        return None
-    if model.closed:
-        return f"the vehicle moves: {size:.2f} m/s against a standstill"
-    return f"the vehicle moves or tilts: {size:.3f} m/s^2 against a standstill"
 
 
 def finish(state: Standing[Filter]) -> NavInit:

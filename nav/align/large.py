@@ -14,10 +14,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nav.align import still as watch
+from nav.align.drift import FEWEST
 from nav.align.large_bank import ALPHA, DRIFT, SIZE, VEL, Bank, Mean, Noise, levelled, mean, start, step
 from nav.align.static import (
     PATIENCE_S,
-    SIGMAS,
     SMALL,
     SOMEWHERE,
     UNKNOWN,
@@ -30,7 +30,7 @@ from nav.align.static import (
     sensitivities,
     sigma_of_place,
 )
-from nav.align.still import PUSHED, Block, Standing, Still, standing
+from nav.align.still import PUSHED, Block, Lean, Standing, Still, contradiction, standing
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.filter.ukf import Points, symmetric_points
 from nav.rotation import quat_from_dcm, rotvec_from_quat
@@ -45,6 +45,7 @@ class Large(NamedTuple):
 
     points: Points
     bank: Bank | None = None
+    lean: Lean = Lean()
 
 
 def _begin(config: AlignConfig, given: NavInit | None) -> Standing[Large]:
@@ -59,7 +60,6 @@ def _work(state: Standing[Large], block: Block) -> tuple[Standing[Large], str | 
     place = place_of(config, state.still)
     if place is None:
         return state, lost(config, state.still)
-    reason = None
     if own.bank is None:
         reason = not_gravity(config, block.dv, dt, place[0], place[2])
         if reason is not None:
@@ -69,12 +69,14 @@ def _work(state: Standing[Large], block: Block) -> tuple[Standing[Large], str | 
         bank = start(place, C, TILT, noise, own.points)
     else:
         turn = rotvec_from_quat(quat_from_dcm(block.rotation))
-        bank, innovation, square = step(own.bank, turn, block.dv, dt)
-        speed = float(np.linalg.norm(innovation))
-        if square > SIGMAS**2 and speed > PUSHED:
-            reason = f"the vehicle moves: {speed:.2f} m/s against a standstill"
+        bank, innovation, S = step(own.bank, turn, block.dv, dt)
+        leaning, reason = contradiction(own.lean, innovation, S, PUSHED, "m/s")
+        own = own._replace(lean=leaning)
     state = state._replace(own=own._replace(bank=bank))
-    return (state, reason) if reason is not None else _judge(state, bank, mean(bank))
+    if reason is not None:
+        # a latitude that is far off looks like motion, too
+        return state, implausible(config, state.still, place[0]) or reason
+    return _judge(state, bank, mean(bank))
 
 
 def _judge(state: Standing[Large], bank: Bank, found: Mean) -> tuple[Standing[Large], str | None]:
@@ -82,7 +84,7 @@ def _judge(state: Standing[Large], bank: Bank, found: Mean) -> tuple[Standing[La
     config, still = state.config, state.still
     lat, _, height = bank.place
     ready = still.seconds >= config.coarse_s - 0.5 * watch.BLOCK_S
-    reason = implausible(config, still, lat) if ready else None
+    reason = implausible(config, still, lat) if still.line.averages >= FEWEST else None
     sigma = math.sqrt(found.P[2, 2])
     small = sigma < math.hypot(SMALL, 1.5 * limits(config, lat, height, still.seconds)[2])
     if reason is None and not small and still.seconds > config.coarse_s + PATIENCE_S:

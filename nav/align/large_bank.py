@@ -108,10 +108,10 @@ def start(
     return Bank(place, noise, points, heads, np.zeros((members, SIZE)), P, weight)
 
 
-def step(bank: Bank, turn: Vector, dv: Vector, dt: float) -> tuple[Bank, Vector, float]:
+def step(bank: Bank, turn: Vector, dv: Vector, dt: float) -> tuple[Bank, Vector, Vector]:
     """One block at rest: rotation vector ``turn`` (3,) and velocity increment ``dv`` (3,) in b at its start.
 
-    Returns the likeliest member's innovation (2,) m/s too, and its square over its covariance.
+    Returns the innovation (2,) m/s of the member that it surprises least too, and its covariance (2, 2).
     """
     lat, lon, height = bank.place
     w, gravity = earth_rate_g(lat), normal_gravity(math.sin(lat), height)
@@ -151,7 +151,7 @@ def step(bank: Bank, turn: Vector, dv: Vector, dt: float) -> tuple[Bank, Vector,
     best = int(np.argmin(square))
     keep = weight > FORGOTTEN
     bank = bank._replace(heads=heads[keep], x=x[keep], P=P[keep], weight=weight[keep] / np.sum(weight[keep]))
-    return bank, innovation[best], float(square[best])
+    return bank, innovation[best], S[best]
 
 
 def _noise(noise: Noise, gravity: float, dt: float) -> Vector:

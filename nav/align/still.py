@@ -22,6 +22,7 @@ PUSHED: Final = 0.05  # m/s within a block
 DROVE: Final = 0.5  # m/s by GNSS
 ROLLED: Final = 0.02  # m by the odometer within one sample, or m/s of speed
 SIGMAS: Final = 6.0
+LEAN: Final = 30.0
 _GAP: Final = int(ImuFlag.GAP)
 _SATURATED: Final = int(ImuFlag.SATURATED)
 _ZERO: Final = np.zeros(3)
@@ -131,6 +132,39 @@ def mean_rate(still: Still, config: AlignConfig) -> tuple[Drift, Vector]:
 def rate_covariance(still: Still, config: AlignConfig) -> Vector:
     """The covariance of `mean_rate` alone."""
     return mean_rate(still, config)[1]
+
+
+class Lean(NamedTuple):
+    """What innovations have in common that should have nothing, fading over `LEAN` of them."""
+
+    sums: Vector | None = None
+    squares: float = 0.0  # mean of a component's, at first one
+    weight: float = 0.0
+
+
+def contradiction(leaning: Lean, y: Vector, S: Vector, floor: float, unit: str) -> tuple[Lean, str | None]:
+    """Whether an innovation (n,) of covariance (n, n), or what the last have in common, is no standstill's.
+
+    One is let pass up to ``floor``: a sway may be larger than configured. An unseen turn, or an angle that
+    only a gyro saw, is far below the sway of a block, but it stays; what sways leans to no side, and is
+    measured by its own scatter where that is larger than it should be.
+    """
+    white = np.linalg.solve(np.linalg.cholesky(S), y)
+    keep = 1.0 - 1.0 / LEAN
+    sums = white if leaning.sums is None else keep * leaning.sums + white
+    weight = keep * leaning.weight + 1.0
+    squares = leaning.squares + (float(white @ white) / len(white) - leaning.squares) / weight
+    leaning = Lean(sums, squares, weight)
+    size = float(np.linalg.norm(y))
+    if float(white @ white) > SIGMAS**2 and size > floor:
+        return leaning, f"the vehicle moves: {size:.3f} {unit} against a standstill"
+    scatter = max(1.0, squares - float(sums @ sums) / (len(sums) * weight**2))
+    # of white noise the sum has the variance of keep^2k summed up
+    variance = (1.0 - (1.0 - weight / LEAN) ** 2) / (1.0 - keep**2)
+    sigmas = float(np.linalg.norm(sums)) / math.sqrt(scatter * variance)
+    if sigmas > SIGMAS:
+        return leaning, f"force and rate contradict a standstill by {sigmas:.0f} sigma: the vehicle moves"
+    return leaning, None
 
 
 def fault(sample: ImuSample) -> str | None:
