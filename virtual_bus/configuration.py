@@ -31,14 +31,11 @@ class Wiring:
     fd: bool
 
 
-_STANDING_M_S: Final = 0.0015
-"""A wheel stands below 5 mm/s, and the speed of a start grows with the fifth power of time: 5 mm/s over
-the root of 11 while it does. Otherwise the simulated vehicle is still, but every start errs the same way."""
 _STAMPS_M_S: Final = 0.003
 """Stamps of the wheel come in steps of 0.1 ms: so much at 15 m/s over the 0.2 s that ticks are gathered."""
-_ROAD_M_S: Final = 0.002
-"""The simulated wheels never leave the road, but a body that leans in a turn sees a part of what its
-heading makes it walk sideways: a degree of 0.08 m/s, for a second each time."""
+_ROAD_M_S: Final = 1e-4
+"""The simulated wheels never leave the road. What is left is of the gyros: their noise turns the lever arm
+to the wheels."""
 _ALIGN_MARGIN_S: Final = 4.0
 _COARSE_S: Final = 60.0
 _FINE_S: Final = 240.0
@@ -131,7 +128,8 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         "output_point_m": imu_at if v.output_m is None else np.array(v.output_m),
     }
     coarse_s, fine_s = alignment_s(s.rest_s())
-    known = [f"zero_velocity_sigma_m_s = {_STANDING_M_S!r}"]
+    # the simulated vehicle stands as still as a pulse of the accelerometers can say
+    known = [f"zero_velocity_sigma_m_s = {wiring.grade.accel_m_s_per_pulse!r}"]
     if s.gnss is not None and max(s.gnss.correlated_m) > 0.0:
         known.append(f"gnss_correlated_m = {list(s.gnss.correlated_m)!r}")
         known.append(f"gnss_correlation_s = {s.gnss.correlation_s!r}")

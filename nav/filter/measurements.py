@@ -24,6 +24,7 @@ from nav.filter.states import (
     FULL,
     P_ARW,
     P_LG,
+    P_Q,
     P_SLIP,
     X_A,
     X_BB,
@@ -250,8 +251,10 @@ def non_holonomic(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
 
     Mean velocity of the odometer point along right and up of v is zero, but for the first sigma. A vehicle
     that heads off its path a little, now to one side and now to the other, walks sideways: ``z[3]`` is by
-    how much over one metre. In a turn the sigma across grows with lateral acceleration (tyres slip).
-    Groves, section 15.4.1.
+    how much over one metre. In a turn the sigma across grows with lateral acceleration (tyres slip). Both
+    are along the road, which is taken to be level across: a body that leans sees part of them upward. What
+    the accelerometers' noise did within the interval is in the velocity at its end and only partly in the
+    mean. Groves, sections 15.4.1 and 3.4.
     """
     n = P.shape[0]
     u = mean_velocity(x, par, z[0])
@@ -263,11 +266,21 @@ def non_holonomic(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
     vehicle_row(x, par, 2, u, 0.5 * z[1] + z[0], H, 1)
     _, _, wz = rotate(x[X_QV], x[X_QV + 1], x[X_QV + 2], x[X_QV + 3], x[X_W], x[X_W + 1], x[X_W + 2])
     slip = par[P_SLIP] * u[1] * wz
+    along = slip * slip + z[3] * z[3] * abs(u[1]) / z[1]
+    # the level line across the vehicle, along right and up of v
+    right, up = H[1, 5], -H[0, 5]
+    norm = 1.0 / np.sqrt(right * right + up * up)
+    right, up = norm * right, norm * up
+    walk = par[P_Q + 5] * z[1]
+    own = z[2] * z[2] + _bent(P, u[1]) + walk / 3.0
     R = np.zeros((2, 2))
-    bent = _bent(P, u[1])
-    R[0, 0] = z[2] * z[2] + slip * slip + z[3] * z[3] * abs(u[1]) / z[1] + bent
-    R[1, 1] = z[2] * z[2] + bent
-    return _finish(x, P, H, r, R, np.zeros((n, 2)), gate, out)
+    R[0, 0] = own + along * right * right
+    R[0, 1] = R[1, 0] = along * right * up
+    R[1, 1] = own + along * up * up
+    X = np.zeros((n, 2))
+    for i in range(3, 6):
+        X[i, 0], X[i, 1] = -0.5 * walk * H[0, i], -0.5 * walk * H[1, i]
+    return _finish(x, P, H, r, R, X, gate, out)
 
 
 @kernel

@@ -21,6 +21,8 @@ class Rest:
     rate_b: Vector
 
 
+_AFTER_NS: Final = 250_000_000
+"""A wheel that starts stands this long by its own account: it counts no tick, and its speed is too small."""
 _FACTOR: Final = 1.25  # of the standard deviation of single samples that the alignment saw at rest
 _LEAST_RATE: Final = 1e-3  # rad/s: no axis need be quieter than this,
 _LEAST_FORCE: Final = 0.02  # m/s^2, nor this
@@ -68,7 +70,7 @@ class Standstill:
         rest[:] = 0.0
         found = Rest(start, t_ns, mean[0:3])
         if self._odo_ns is not None and t_ns - self._odo_ns < 1_000_000_000:
-            # the wheel's word on the end of the interval may still be on its way
+            # what the wheel says of the end of the interval, and of the time after it, is still to come
             self._waiting.append(found)
             del self._waiting[:-4]
             return self._confirmed()
@@ -97,7 +99,7 @@ class Standstill:
     def _confirmed(self) -> Rest | None:
         while self._waiting:
             rest = self._waiting[0]
-            if self._odo_ns is None or rest.end_ns > self._odo_ns:
+            if self._odo_ns is None or rest.end_ns + _AFTER_NS > self._odo_ns:
                 return None
             del self._waiting[0]
             if self._since_ns is not None and self._since_ns <= rest.start_ns:

@@ -12,7 +12,7 @@ from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
 from tests.nav.filter.making import difference, disturbed, nominal
 
 STEPS = np.concatenate(
-    [[3.0] * 3, [0.3] * 3, [1e-4] * 3, [1e-4] * 3, [1e-3] * 3, [1e-3] * 3, [1.0], [1e-4] * 6]
+    [[3.0] * 3, [0.3] * 3, [1e-4] * 3, [1e-4] * 3, [1e-3] * 3, [1e-3] * 3, [1.0], [1e-4] * 18]
 )
 T = 0.05
 SMALL = [1e-12, 0.0, 0.0, 1e-12, 0.0, 1e-12]
@@ -181,3 +181,30 @@ def test_a_fix_across_the_pole_fits():
     z = np.array([0.0, *earth_fixed(lat, lon, v_g, np.full(3, 0.1))])
     MEASUREMENTS["gnss_velocity"].kernel(x, np.eye(st.FULL), p, z, -1.0, out)
     np.testing.assert_allclose(out[:3], 0.0, atol=1e-12)
+
+
+def crossing(lean, p, P, walk):
+    """Predicted variances (right, up) of the velocity across at 30 m/s north, body leaning ``lean`` rad."""
+    x = nominal(v=(0.0, 30.0, 0.0))
+    x[X_Q : X_Q + 4] = rot.quat_from_dcm(rot.dcm_from_euler(0.0, 0.0, lean))
+    x[st.X_QV : st.X_QV + 4] = 1.0, 0.0, 0.0, 0.0
+    out = np.zeros(12)
+    z = np.array([0.0, T, 0.0, walk])
+    MEASUREMENTS["non_holonomic"].kernel(with_path(x, np.array([0.0, 30.0, 0.0])), P, p, z, np.inf, out)
+    return out[6:8] ** 2
+
+
+@pytest.mark.parametrize("lean", [-0.05, 0.02, 0.1])
+def test_a_body_that_leans_sees_part_of_a_walk_along_the_road_upward(lean):
+    road = 1e-3**2 * 30.0 / T  # a walk over the metres rolled, as a mean velocity
+    seen = crossing(lean, np.zeros(st.P_SIZE), np.eye(st.BASIC) * 1e-18, 1e-3)
+    np.testing.assert_allclose(seen, road * np.array([np.cos(lean) ** 2, np.sin(lean) ** 2]), rtol=1e-6)
+
+
+def test_noise_within_an_interval_reaches_its_mean_by_a_third():
+    """Velocity known before, a random walk since: variance q T at the end, q T / 3 of the mean."""
+    p, q = np.zeros(st.P_SIZE), 1e-4
+    p[st.P_Q + 3 : st.P_Q + 6] = q
+    P = np.eye(st.BASIC) * 1e-18
+    P[st.VELOCITY, st.VELOCITY] = q * T * np.eye(3)
+    np.testing.assert_allclose(crossing(0.0, p, P, 0.0), q * T / 3.0, rtol=1e-6)

@@ -8,6 +8,7 @@ import pytest
 from nav.align.types import NavInit
 from nav.filter.settings import ImuErrors, NavigatorConfig
 from nav.filter.standstill import Standstill
+from nav.types import OdoSample
 
 CONFIG = NavigatorConfig(ImuErrors(1e-5, 1e-3, 1e-5, 1e-3))
 REST = np.array([0.01, 0.002, 0.002]), np.array([0.05, 0.3, 0.05])  # an engine at idle
@@ -71,3 +72,18 @@ def test_nothing_seen_and_nothing_configured():
 
 def test_a_smooth_ride_is_no_standstill():
     assert not stands(CONFIG, INIT, *REST, speed=0.6)
+
+
+@pytest.mark.parametrize(("starts_ms", "rested"), [(1260, False), (1280, True)])
+def test_a_wheel_must_stand_for_a_while_after_an_interval(starts_ms, rested):
+    """A start begins below what a wheel can tell: the last quarter of a second before it shows is no rest."""
+    watch = Standstill(CONFIG, INIT)
+    found = []
+    for t_ms in range(20, 1600, 20):
+        sample = OdoSample(t_ms * 1_000_000, 0.02, 0.0, t_ms < starts_ms, "odo")
+        found.append(watch.odometer(sample))
+        if t_ms == 1000:
+            rest = np.zeros(14)
+            rest[0], rest[1] = 0.5, 50
+            assert watch.interval(1_000_000_000, rest, np.zeros(3), 0.1) is None
+    assert [r.end_ns for r in found if r is not None] == ([1_000_000_000] if rested else [])
