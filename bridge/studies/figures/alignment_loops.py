@@ -94,7 +94,8 @@ def _steady() -> list[Row]:
             -_EPS[0] / _NORTH - 2.0 / azimuth * _EPS[2],
         ]
     )
-    return [_row(f"steady state, eq. (2-12), phi_{'ENU'[k]}", exact[k], phi[k]) for k in range(3)]
+    pairs = zip(exact.tolist(), phi.tolist(), "ENU", strict=True)
+    return [_row(f"steady state, eq. (2-12), phi_{axis}", there, here) for there, here, axis in pairs]
 
 
 def _ramps() -> list[Row]:
