@@ -20,7 +20,7 @@ import numpy as np
 from nav.events import Innovation, NavEvent, Notice
 from nav.filter.height_feed import HeightFeed, take_offset
 from nav.filter.measurements import MEASUREMENTS, Measurement
-from nav.filter.motion import vehicle_velocity
+from nav.filter.motion import restart_path
 from nav.filter.propagate import (
     REST_SIZE,
     ROW_D,
@@ -34,19 +34,18 @@ from nav.filter.propagate import (
     row_size,
     solution_row,
 )
-from nav.filter.records import ORDER, PATH, Filter, Record
+from nav.filter.records import NEVER, Filter, Record, Snapshots
 from nav.filter.recovery import PATIENCE, agree, inflate
-from nav.filter.states import X_PATH, X_PT, X_SIZE
+from nav.filter.states import X_PT
 from nav.types import ImuSample, S, Vector
 
 CAPACITY: Final = 2048
 """Updates kept."""
 STRIDE: Final = 16
 """Updates between snapshots."""
-_SLOTS: Final = CAPACITY // STRIDE
 _BRIDGE_S: Final = 0.02  # longest update over a silence
 _OPEN: Final = float("inf")
-_NEVER: Final = -(2**62)
+_JOIN_NS: Final = 10_000_000  # between the begin of a path and of the interval that it is compared with
 
 
 class Timeline:
@@ -66,10 +65,7 @@ class Timeline:
         self._ring = np.zeros((CAPACITY, row_size(samples)))
         self._rows = [self._ring[i] for i in range(CAPACITY)]
         self._times = np.zeros(CAPACITY, dtype=np.int64)
-        self._snap_u = np.full(_SLOTS, -1, dtype=np.int64)
-        self._snap_x = np.zeros((_SLOTS, X_SIZE))
-        self._snap_P = np.zeros((_SLOTS, states, states))
-        self._snap_books = np.zeros((_SLOTS, PATH + 1, 3), dtype=np.int64)
+        self._snapshots = Snapshots(CAPACITY // STRIDE, STRIDE, states)
         self._log: list[Record] = []
         self._keys: list[tuple[int, int, int]] = []
         self._serial = 0
@@ -82,16 +78,9 @@ class Timeline:
 
     def begin(self, t_ns: int, x: Vector, P: Vector) -> None:
         """Start afresh at ``t_ns`` with state ``x`` (X_SIZE,) and covariance ``P`` (states, states)."""
-        live = self.live
-        live.x[:] = x
-        live.P[:] = P
-        live.books[:, 0] = t_ns
-        live.books[:, 1] = 0
-        live.books[:, 2] = _NEVER
-        live.u = 0
-        live.cursor = 0
+        self.live.begin(t_ns, x, P)
         self.behind = False
-        self._snap_u[:] = -1
+        self._snapshots.clear()
         self._feed = HeightFeed()
         self._log.clear()
         self._keys.clear()
@@ -102,11 +91,11 @@ class Timeline:
         """Time (ns) of the last accepted measurement of a kind; the start of navigation before any."""
         if kind == "barometer" and self._feed.t_ns is not None:
             return self._feed.t_ns
-        return int(self.live.books[ORDER[kind], 0])
+        return self.live.books[kind][0]
 
     def used(self, *kinds: str) -> bool:
         """Whether a measurement of one of these kinds was ever accepted."""
-        return any(int(self.live.books[ORDER[kind], 0]) != self._begin_ns for kind in kinds)
+        return any(self.live.books[kind][0] != self._begin_ns for kind in kinds)
 
     # ---- forward -------------------------------------------------------------------------------
 
@@ -154,7 +143,7 @@ class Timeline:
     def _next(self, t_ns: int, dt: float, gap: float, noise: float, samples: int) -> int:
         live = self.live
         if live.u % STRIDE == 0 and not self.behind:
-            self._snapshot(live)
+            self._snapshots.take(live)
             self._prune()
         place = (live.u + 1) % CAPACITY
         row = self._rows[place]
@@ -165,13 +154,6 @@ class Timeline:
         self._feed.fill(row, t_ns, dt)
         self._times[place] = t_ns
         return place
-
-    def _snapshot(self, f: Filter) -> None:
-        slot = (f.u // STRIDE) % _SLOTS
-        self._snap_u[slot] = f.u
-        self._snap_x[slot] = f.x
-        self._snap_P[slot] = f.P
-        self._snap_books[slot] = f.books
 
     def _prune(self) -> None:
         # what is older than the oldest snapshot cannot be reached any more
@@ -217,10 +199,8 @@ class Timeline:
         """End the path integral of the odometer point at ``t_ns`` and start the next one."""
 
         def action(f: Filter) -> None:
-            tau = (int(self._times[f.u % CAPACITY]) - t_ns) * 1e-9
-            f.x[X_PATH : X_PATH + 3] = vehicle_velocity(f.x, self.par, 0.5 * tau) * tau
-            f.x[X_PT] = tau
-            f.books[PATH, 0] = t_ns
+            restart_path(f.x, self.par, (int(self._times[f.u % CAPACITY]) - t_ns) * 1e-9)
+            f.path_ns = t_ns
 
         return self.act(t_ns, action)
 
@@ -268,16 +248,14 @@ class Timeline:
         u = newest // STRIDE * STRIDE
         oldest = max(0, self.live.u + STRIDE - CAPACITY)
         while u >= oldest:
-            if self._snap_u[(u // STRIDE) % _SLOTS] == u and self._times[u % CAPACITY] < t_ns:
+            if self._snapshots.holds(u) and self._times[u % CAPACITY] < t_ns:
                 return u
             u -= STRIDE
         return -1
 
     def _go_back(self, u: int) -> None:
-        slot = (u // STRIDE) % _SLOTS
         work = self._work
-        work.copy_from(self._snap_x[slot], self._snap_P[slot], self._snap_books[slot])
-        work.u = u
+        self._snapshots.restore(u, work)
         work.cursor = bisect_left(self._keys, (int(self._times[u % CAPACITY]) + 1,))
         self.behind = True
 
@@ -287,7 +265,7 @@ class Timeline:
         budget = self._budget
         while work.u < live.u and budget > 0:
             if work.u % STRIDE == 0:
-                self._snapshot(work)
+                self._snapshots.take(work)
             last = min(live.u, work.u + budget, work.u // STRIDE * STRIDE + STRIDE)
             stop = self._log[work.cursor].t_ns if work.cursor < len(self._log) else 2**62
             reached = replay(
@@ -320,40 +298,40 @@ class Timeline:
                 record.action(f)
 
     def _apply(self, f: Filter, record: Record, m: Measurement, now_ns: int) -> None:
-        z, out = record.z, self._out
-        z[0] = (now_ns - record.t_ns) * 1e-9
-        if m.name == "odometer" or m.name == "non_holonomic":
-            # the integral must cover the interval that was measured
-            start = record.t_ns - round(float(z[1]) * 1e9)
-            if abs(int(f.books[PATH, 0]) - start) > 10_000_000 or f.x[X_PT] <= z[0]:
-                return
+        z, out, t_ns = record.z, self._out, record.t_ns
+        tau = (now_ns - t_ns) * 1e-9
+        z[0] = tau
+        if m.path and (abs(f.path_ns - t_ns + round(z.item(1) * 1e9)) > _JOIN_NS or f.x.item(X_PT) <= tau):
+            return
         nis = m.kernel(f.x, f.P, self.par, z, m.gate, out)
+        values = out.tolist()
+        residual = values[: m.rows]
         accepted = nis <= m.gate
-        book = f.books[ORDER[m.name]]
-        record.refused = None if accepted else out[: m.rows].copy()
         if accepted:
-            book[0], book[1], book[2] = record.t_ns, 0, _NEVER
+            record.refused = None
+            f.books[m.name] = t_ns, 0, NEVER
         else:
-            book[1] += 1
-            if book[2] == _NEVER:
-                book[2] = record.t_ns
-            shut = record.t_ns - int(book[2])
-            if book[1] >= 3 and shut >= self._lockout_ns and self._believed(f, m, shut):
+            record.refused = residual
+            _, count, since = f.books[m.name]
+            since = t_ns if since == NEVER else since
+            f.books[m.name] = f.books[m.name][0], count + 1, since
+            shut = t_ns - since
+            if count >= 2 and shut >= self._lockout_ns and self._believed(f, m, shut):
                 inflate(f.P, m, out[: m.rows], shut * 1e-9)
                 m.kernel(f.x, f.P, self.par, z, _OPEN, out)
-                book[0], book[1], book[2] = record.t_ns, 0, _NEVER
+                f.books[m.name] = t_ns, 0, NEVER
+                values = out.tolist()
                 if not record.recovered:
                     record.recovered = True
                     text = f"{m.name}: refused for {shut * 1e-9:.0f} s; covariance inflated, measurement used"
-                    self.events.append(Notice(record.t_ns, text))
+                    self.events.append(Notice(t_ns, text))
         if not record.reported:
             record.reported = True
-            residual = tuple(out[: m.rows].tolist())
-            sigma = tuple(out[6 : 6 + m.rows].tolist())
-            self.events.append(Innovation(record.t_ns, m.name, residual, sigma, float(nis), accepted))
+            shown, sigma = tuple(values[: m.rows]), tuple(values[6 : 6 + m.rows])
+            self.events.append(Innovation(t_ns, m.name, shown, sigma, float(nis), accepted))
 
     def _believed(self, f: Filter, m: Measurement, shut_ns: int) -> bool:
         log = self._log[: f.cursor]
-        since = int(f.books[ORDER[m.name], 2])
+        since = f.books[m.name][2]
         refused = [r.refused for r in log if r.measurement is m and r.t_ns >= since and r.refused is not None]
         return shut_ns >= PATIENCE * self._lockout_ns or agree(np.array(refused))

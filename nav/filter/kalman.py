@@ -121,13 +121,12 @@ def update_gain(
             for b in range(m):
                 t -= 0.5 * S[a, b] * K[b, c]
             W[a, c] = t
+    # whole rows: both halves come out equal, and neighbours are taken at once
     for i in range(n):
-        for j in range(i, n):
-            t = P[i, j]
-            for a in range(m):
-                t -= K[a, i] * W[a, j] + W[a, i] * K[a, j]
-            P[i, j] = t
-            P[j, i] = t
+        for a in range(m):
+            k, w = K[a, i], W[a, i]
+            for j in range(n):
+                P[i, j] -= k * W[a, j] + w * K[a, j]
     return nis
 
 

@@ -10,7 +10,7 @@ changes. A covariance in ``z`` is xx, xy, xz, yy, yz, zz, in Earth-fixed axes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -343,7 +343,8 @@ class Measurement:
     """One kind of measurement.
 
     ``rank`` orders measurements of one instant, ``rows`` is the number of its residuals. When its gate
-    has been shut for too long, the variances of ``recover`` states grow (see `nav.filter.recovery`).
+    has been shut for too long, the variances of ``recover`` states grow (see `nav.filter.recovery`). One with
+    ``path`` is compared with the path since the last odometer epoch, which must cover its duration ``z[1]``.
     """
 
     name: str
@@ -351,11 +352,13 @@ class Measurement:
     rows: int
     kernel: MeasurementKernel
     recover: tuple[slice, ...]
+    path: bool = False
+    gate: float = field(init=False)
+    """Largest NIS that is accepted."""
 
-    @property
-    def gate(self) -> float:
-        """Largest NIS that is accepted."""
-        return GATES[self.rows]
+    def __post_init__(self) -> None:
+        """Set the gate for the number of residuals."""
+        object.__setattr__(self, "gate", GATES[self.rows])
 
 
 _P, _V, _PHI = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -366,9 +369,9 @@ MEASUREMENTS: Final[dict[str, Measurement]] = {
         Measurement("gnss_position", 0, 3, gnss_position, (_P,)),
         Measurement("gnss_velocity", 1, 3, gnss_velocity, (_V, slice(8, 9))),
         Measurement("barometer", 2, 1, barometer, (slice(18, 19),)),
-        Measurement("odometer", 3, 1, odometer, (slice(15, 16),)),
+        Measurement("odometer", 3, 1, odometer, (slice(15, 16),), path=True),
         Measurement("speed", 4, 1, speed, (slice(15, 16),)),
-        Measurement("non_holonomic", 5, 2, non_holonomic, (slice(16, 18),)),
+        Measurement("non_holonomic", 5, 2, non_holonomic, (slice(16, 18),), path=True),
         Measurement("zero_velocity", 6, 3, zero_velocity, (_V,)),
         Measurement("zero_rate", 7, 3, zero_rate, (slice(9, 12),)),
     )

@@ -138,6 +138,15 @@ def vehicle_row(x: Vector, par: Vector, axis: int, u: Vector, age: float, H: Mat
         H[row, 16] = -u[1]
 
 
+@kernel
+def restart_path(x: Vector, par: Vector, tau: float) -> None:
+    """Begin the path of the odometer point anew ``tau`` seconds before the state's time."""
+    u = vehicle_velocity(x, par, 0.5 * tau)
+    for k in range(3):
+        x[X_PATH + k] = u[k] * tau
+    x[X_PT] = tau
+
+
 @in_place
 def lose_path(x: Vector) -> None:
     """The path since the last odometer epoch is not known: nothing is compared with it before the next."""

@@ -11,10 +11,10 @@ from nav.filter.measurements import MEASUREMENTS, Measurement
 from nav.filter.states import X_SIZE
 from nav.types import Vector
 
-ORDER: Final = {name: place for place, name in enumerate(MEASUREMENTS)}
-"""The row of the books of each kind of measurement."""
-PATH: Final = len(ORDER)
-"""The row of the books that holds the start of the path integral."""
+Book = tuple[int, int, int]
+"""Of one kind of measurement: time of the last accepted one, how many were refused since, and the time of the
+first of those."""
+NEVER: Final = -(2**62)
 
 
 class Record:
@@ -38,27 +38,67 @@ class Record:
         self.action = action
         self.reported = False
         self.recovered = False
-        self.refused: Vector | None = None  # its residual, where the gate was shut
+        self.refused: list[float] | None = None  # its residual, where the gate was shut
 
 
 class Filter:
     """One copy of the filter: nominal state, covariance, books, and how far it has come.
 
-    ``books`` (kinds + 1, 3) int64: per kind of measurement the time of the last accepted one, how many were
-    refused since, and the time of the first of those; last row: start of the path integral.
+    ``books`` holds a `Book` for each kind of measurement, ``path_ns`` is the start of the path integral.
     """
 
-    __slots__ = ("P", "books", "cursor", "u", "x")
+    __slots__ = ("P", "books", "cursor", "path_ns", "u", "x")
 
     def __init__(self, states: int) -> None:
         self.x = np.zeros(X_SIZE)
         self.P = np.zeros((states, states))
-        self.books = np.zeros((PATH + 1, 3), dtype=np.int64)
+        self.books: dict[str, Book] = {}
+        self.path_ns = 0
         self.u = 0
         self.cursor = 0
 
-    def copy_from(self, x: Vector, P: Vector, books: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> None:
-        """Take over state, covariance and books."""
+    def begin(self, t_ns: int, x: Vector, P: Vector) -> None:
+        """Start afresh at ``t_ns`` with this state and covariance."""
         self.x[:] = x
         self.P[:] = P
-        self.books[:] = books
+        self.books = dict.fromkeys(MEASUREMENTS, (t_ns, 0, NEVER))
+        self.path_ns = t_ns
+        self.u = 0
+        self.cursor = 0
+
+
+class Snapshots:
+    """Copies of a filter at some of its updates, the latest ``slots`` of them."""
+
+    def __init__(self, slots: int, stride: int, states: int) -> None:
+        self._slots, self._stride = slots, stride
+        self._x = np.zeros((slots, X_SIZE))
+        self._P = np.zeros((slots, states, states))
+        self._heads: list[tuple[int, int, dict[str, Book]]] = []
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all of them."""
+        self._heads = [(-1, 0, {})] * self._slots
+
+    def _slot(self, u: int) -> int:
+        return u // self._stride % self._slots
+
+    def holds(self, u: int) -> bool:
+        """Whether there is one of update ``u``."""
+        return self._heads[self._slot(u)][0] == u
+
+    def take(self, f: Filter) -> None:
+        """Keep ``f`` as it is."""
+        slot = self._slot(f.u)
+        self._heads[slot] = f.u, f.path_ns, f.books.copy()
+        self._x[slot] = f.x
+        self._P[slot] = f.P
+
+    def restore(self, u: int, f: Filter) -> None:
+        """Make ``f`` what was kept at update ``u``, but for its place in the log."""
+        slot = self._slot(u)
+        f.u, f.path_ns, books = self._heads[slot]
+        f.books = books.copy()
+        f.x[:] = self._x[slot]
+        f.P[:] = self._P[slot]
