@@ -13,16 +13,16 @@ from typing import Final
 
 import numpy as np
 
-from nav.align import ALIGNMENTS, AlignStatus, NavInit, Run, advance, begin, result
-from nav.events import AlignmentProgress, ModeChange, NavEvent, Notice, Refusal
+from nav.align import ALIGNMENTS, NavInit
+from nav.aligning import Aligning
+from nav.events import ModeChange, NavEvent, Notice, Refusal
 from nav.filter.aiding import Aiding
 from nav.filter.history import Timeline
 from nav.filter.initial import initial_state
 from nav.filter.mounting import MountingSearch, settle
 from nav.filter.report import solution_covariance
-from nav.filter.settings import ImuErrors, NavigatorConfig, align_config, parameters
+from nav.filter.settings import ImuErrors, NavigatorConfig, parameters
 from nav.filter.standstill import Rest, Standstill
-from nav.rotation import dcm_from_quat, quat_from_dcm
 from nav.strapdown.azimuth import NorthLawRefusal, refuse_latitude
 from nav.types import (
     BaroSample,
@@ -65,9 +65,7 @@ class Navigator:
         self._aiding = Aiding(config, self._timeline)
         self._standstill = Standstill(config)
         self._events: list[NavEvent] = []
-        self._runs: list[Run] = []  # not empty: it aligns
-        self._methods: list[str] = []  # their names
-        self._shown: tuple[list[float], Vector] = ([], np.empty(0))  # estimate q_gb and its q_gv
+        self._aligning = Aligning(config)
         self._pending: list[ImuSample] = []
         self._imu_ns: int | None = None
         self._check_ns = 0
@@ -94,7 +92,7 @@ class Navigator:
 
     def stop(self, t_ns: int) -> list[NavEvent]:
         """Go to STANDBY."""
-        self._runs = []
+        self._aligning.stop()
         self._change(t_ns, Mode.STANDBY, "stop")
         return self._drain()
 
@@ -119,11 +117,11 @@ class Navigator:
             return self._drain()
         if type(sample) is ImuSample:
             self._inertial(sample)
-        elif self._runs:
-            self._aligning(sample)
+        elif self._aligning.running:
+            self._align_on(sample)
         else:
             self._aid(sample)
-        if self._timeline.behind and self.mode is not Mode.FAULT and not self._runs:
+        if self._timeline.behind and self.mode is not Mode.FAULT and not self._aligning.running:
             self._catch_up()
         return self._drain()
 
@@ -144,66 +142,22 @@ class Navigator:
     # ---- alignment -----------------------------------------------------------------------------
 
     def _align(self, t_ns: int, reason: str, *names: str) -> None:
-        """Run these alignments side by side: the first to end hands over, the first named is reported."""
-        config = align_config(self.config)
-        self._methods = list(dict.fromkeys(names))
-        self._runs = [begin(ALIGNMENTS[name], config) for name in self._methods]
+        self._aligning.begin(t_ns, *names)
         self._pending = []
-        self._check_ns = t_ns
         self._change(t_ns, Mode.ALIGN, reason)
 
-    def _aligning(self, sample: Sample) -> None:
-        t, runs = sample.t_ns, self._runs
-        for place in reversed(range(len(runs))):
-            runs[place], status = advance(runs[place], sample)
-            if status.done:
-                self._navigate(result(runs[place]), f"aligned by {self._methods[place]}")
-                return
-        if status.refusal is not None:
-            self._events.append(Notice(t, f"alignment starts again: {status.refusal}"))
-        if status.behind is not (self.mode is Mode.CATCH_UP):
-            if status.behind:
-                self._change(t, Mode.CATCH_UP, f"{self._methods[0]} goes through stored samples")
-            else:
-                self._change(t, Mode.ALIGN, "caught up")
-        if t >= self._check_ns:
-            self._check_ns = t + _CHECK_NS
-            self._report(t, status)
-
-    def _report(self, t: int, status: AlignStatus) -> None:
-        """What the alignment that was named first says of itself."""
-        sigma = np.sqrt(np.maximum(np.diag(status.covariance), 0.0))
-        east, north, up = sigma.tolist()
-        limit_e, limit_n, limit_u = status.limit.tolist()
-        self._events.append(
-            AlignmentProgress(
-                t,
-                status.progress,
-                (east, north, up),
-                self._methods[0],
-                (limit_e, limit_n, limit_u),
-                status.behind,
-                self._runs[0].restarts,
-            )
-        )
-        # an estimate from the midst of stored samples holds for another time
-        if status.estimate is None or status.behind:
-            return
-        row = np.full(S.SIZE, math.nan)
-        C_vb = self.config.C_vb
-        estimate = status.estimate.tolist()
-        if estimate != self._shown[0]:  # most stand for a second
-            C_gb = dcm_from_quat(status.estimate)
-            self._shown = estimate, quat_from_dcm(C_gb if C_vb is None else C_gb @ C_vb.T)
-        row[S.Q] = self._shown[1]
-        row[S.SIGMA_PHI] = sigma
-        flags = SolutionFlag.LEVEL if max(sigma[:2]) < self.config.heading_limit else 0
-        if C_vb is not None:
-            flags |= SolutionFlag.MOUNTING
-        self._events.append(Solution(t, Mode.ALIGN, int(flags), row))
+    def _align_on(self, sample: Sample) -> None:
+        aligning, t = self._aligning, sample.t_ns
+        init = aligning.step(sample, self._events)
+        if init is not None:
+            self._navigate(init, f"aligned by {aligning.ended}")
+        elif aligning.behind:
+            self._change(t, Mode.CATCH_UP, f"{aligning.name} goes through stored samples")
+        else:
+            self._change(t, Mode.ALIGN, "caught up")
 
     def _navigate(self, init: NavInit, reason: str) -> None:
-        self._runs = []
+        self._aligning.stop()
         x, P, mounted = initial_state(init, self.config)
         self._timeline.begin(init.t_ns, x, P)
         self._timeline.rest[:] = 0.0
@@ -236,13 +190,13 @@ class Navigator:
                 if self.mode is Mode.FAULT:
                     self._imu_ns = t
                     return
-        if self._runs:
+        if self._aligning.running:
             # an alignment goes on with what it gathered; a state that is no number ends navigation
             if not math.isfinite(sum(s.dtheta.tolist()) + sum(s.dv.tolist())):
                 self._events.append(Refusal(t, s.device, "invalid"))
                 return
             self._imu_ns = t
-            self._aligning(s)
+            self._align_on(s)
             return
         self._imu_ns = t
         pending = self._pending
@@ -272,7 +226,7 @@ class Navigator:
 
     def _silence(self, last: int, silent: float, t: int) -> None:
         """Inertial samples are missing between ``last`` and the sample at ``t``."""
-        if self._runs:
+        if self._aligning.running:
             # the alignment's stages judge gaps by the times of their samples
             return
         if silent > self.config.gap_limit * 1e9:
