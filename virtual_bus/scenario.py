@@ -144,9 +144,12 @@ class GnssTable(DeviceTable):
 
 
 class NavigatorTable(Table):
-    """``[navigator]``: what the bridge is told about this vehicle, and the frame it shows in polar waters."""
+    """``[navigator]``: what the bridge is told about this vehicle, and the frame it shows in polar waters.
 
-    alignment: Literal["static", "motion"] = "static"
+    ``alignment`` is one that the bridge knows by that name.
+    """
+
+    alignment: str = "static"
     find_mounting: bool = False
     non_holonomic: bool = True
     polar: Literal["geographic", "grid", "transverse"] = "geographic"

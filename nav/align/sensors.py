@@ -4,9 +4,10 @@ A sensor that says exactly the same for longer than it ever did is stuck, unless
 (ideal sensors, or none). A coarse instrument that feels little says the same for long: it is given the time
 in which its own bias, or a tenth of Earth's rate, would fill many of its pulses.
 
-A lone sample that leaps from a smooth curve through its neighbours by far more than samples are
-rough is wild, if it is large enough to matter: a leap of an angle or velocity is a bias over the time of
-an alignment.
+A lone sample that leaps from a smooth curve through its neighbours is wild: by far more than samples are
+rough, by far more than any sample of its kind leapt lately, and by what matters, since a leap of an angle or
+velocity is a bias over the time of an alignment. Where no sensor of a kind says something new with nearly
+every sample, pulses come one by one, and a lone one is nothing else.
 """
 
 from __future__ import annotations
@@ -24,18 +25,20 @@ STUCK_S: Final = 2.0
 LONGER: Final = 10.0  # times the longest that it has said the same before
 PULSES: Final = 100.0  # that a small rate would have added or left out
 ROUGH: Final = 20.0  # times the mean roughness that a wild sample is off
-PULSE_LEAP: Final = 15.0  # pulses that are no quantisation
+LARGEST: Final = 3.0  # times the largest leap of late
+DENSE: Final = 0.8  # share of samples that say something new
 FEWEST: Final = 50  # samples before roughness is known
 MEMORY: Final = 200.0  # samples over which it is averaged
+FORGET: Final = 5000.0  # samples after which a largest leap has sunk to a third
 MATTERS_S: Final = 20.0  # bias over this time: a third of what it makes of a minute
 _NAMES: Final = ("right", "forward", "up")
 _GAP: Final = int(ImuFlag.GAP)
 
 # columns of the state of a sensor
 _RATES: Final = 0  # the last four, newest first
-_LEAPS: Final = 4  # the last two, newest first
-_LAST, _HELD, _LONGEST, _PULSE, _ROUGH = 6, 7, 8, 9, 10
-_SIZE: Final = 11
+_LEAPS: Final = 4  # the last three, newest first
+_LAST, _HELD, _LONGEST, _PULSE, _ROUGH, _MOST, _NEW = 7, 8, 9, 10, 11, 12, 13
+_SIZE: Final = 14
 
 
 class Sensors(NamedTuple):
@@ -83,7 +86,7 @@ def _look(state: Vector, seen: Vector, least: Vector, dtheta: Vector, dv: Vector
     found = -1
     for first in (0, 3):
         values = dtheta if first == 0 else dv
-        alive, pulse = False, math.inf
+        alive, pulse, most, dense = False, math.inf, 0.0, False
         for i in range(3):
             s = state[first + i]
             change = abs(values[i] - s[_LAST])
@@ -94,15 +97,18 @@ def _look(state: Vector, seen: Vector, least: Vector, dtheta: Vector, dv: Vector
                 s[_HELD] = 0.0
             else:
                 s[_HELD] += dt
+            s[_NEW] += ((1.0 if change > 0.0 else 0.0) - s[_NEW]) / min(seen[0], MEMORY)
             alive = alive or s[_HELD] < 0.5 * STUCK_S
+            dense = dense or s[_NEW] > DENSE
             pulse = min(pulse, s[_PULSE])
+            most = max(most, s[_MOST])
         for i in range(3):
             s = state[first + i]
             limit = max(STUCK_S, LONGER * s[_LONGEST], PULSES * pulse / least[first + i, 0])
             if alive and s[_HELD] > limit:
                 found = first + i
-            leap = abs(_leap(s, values[i] / dt, seen[0])) * dt
-            if leap > least[first + i, 1] and leap > PULSE_LEAP * s[_PULSE]:
+            leap = abs(_leap(s, values[i] / dt, seen[0]))
+            if dense and leap > LARGEST * most and leap * dt > least[first + i, 1]:
                 found = 6 + first + i
     return found
 
@@ -111,19 +117,21 @@ def _look(state: Vector, seen: Vector, least: Vector, dtheta: Vector, dv: Vector
 def _leap(s: Vector, rate: float, seen: float) -> float:
     """By how much the rate three samples ago leapt from a cubic through the four around it, if only it did.
 
-    The leaps before and after a lone one are two thirds of it, with the other sign.
+    The leaps before and after a lone one are two thirds of it, with the other sign; what was before them
+    tells how rough it is.
     """
     r0, r1, r2, r3 = s[_RATES], s[_RATES + 1], s[_RATES + 2], s[_RATES + 3]
     s[_RATES], s[_RATES + 1], s[_RATES + 2], s[_RATES + 3] = rate, r0, r1, r2
     if seen < 5.0:
         return 0.0
     leap = r1 - (4.0 * (r0 + r2) - (rate + r3)) / 6.0
-    middle, before = s[_LEAPS], s[_LEAPS + 1]
-    s[_LEAPS], s[_LEAPS + 1] = leap, middle
+    middle, before, old = s[_LEAPS], s[_LEAPS + 1], abs(s[_LEAPS + 2])
+    s[_LEAPS], s[_LEAPS + 1], s[_LEAPS + 2] = leap, middle, before
+    if seen < 8.0:
+        return 0.0
     rough = s[_ROUGH]
-    judged = seen > FEWEST
-    size = min(abs(leap), 5.0 * rough) if judged else abs(leap)
-    s[_ROUGH] = rough + (size - rough) / min(seen - 4.0, MEMORY)
+    s[_ROUGH] = rough + (old - rough) / min(seen - 7.0, MEMORY)
+    s[_MOST] = max(old, s[_MOST] * (1.0 - 1.0 / FORGET))
     third = 0.2 * abs(middle)
     lone = abs(leap + middle / 1.5) < third and abs(before + middle / 1.5) < third
-    return middle if judged and lone and abs(middle) > ROUGH * rough else 0.0
+    return middle if seen > FEWEST and lone and abs(middle) > ROUGH * rough else 0.0

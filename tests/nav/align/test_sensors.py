@@ -47,6 +47,15 @@ def test_sound_sensors_are_not_suspected(gyro, accel):
     assert said(dtheta, dv) == []
 
 
+@pytest.mark.parametrize("dt", [1e-3, 5e-3])
+@pytest.mark.parametrize("pulse", [1e-7, 1e-6, 1e-5])
+def test_pulses_that_leak_into_other_axes_are_not_suspected(dt, pulse):
+    """Compensation of misalignments makes each axis a mixture of whole pulses of all."""
+    dtheta, dv = (x * dt / DT for x in rows(100.0))
+    mixed = np.eye(3) + 1e-4 * np.random.default_rng(2).standard_normal((3, 3))
+    assert said(pulses(dtheta, pulse) @ mixed, pulses(dv, 100.0 * pulse) @ mixed) == []
+
+
 def test_ideal_sensors_and_none_at_all_are_not_suspected():
     dtheta, dv = rows()
     assert said(np.tile(RATE * DT, (len(dv), 1)), np.tile(FORCE * DT, (len(dv), 1))) == []
