@@ -23,6 +23,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from nav.align.drift import CHANCE
 from nav.align.static import SIGMAS, fine_status, go_on, nav_init, standing_at, with_constants
 from nav.align.still import Block, Standing, standing
 from nav.align.types import AlignConfig, NavInit, Stage
@@ -112,8 +113,10 @@ def _fit(state: Standing[Lines]) -> tuple[Standing[Lines], str | None]:
     noise[2, 2] += (0.5 * T * config.gyro_bias) ** 2 + config.angle_random_walk**2 * T
     # the coarse attitude, by the gyros now, has the same constant errors and other noise
     coarse = own.noise + np.eye(3) * ((T * config.gyro_bias) ** 2 + config.angle_random_walk**2 * T)
-    apart, S = own.theta - phi, noise + coarse
-    gain = np.linalg.solve(S, noise).T
+    apart = own.theta - phi
+    # so much more may be in it by chance, `nav.align.drift`
+    odds = float(apart @ np.linalg.solve(noise + CHANCE * coarse, apart))
+    gain = np.linalg.solve(noise + coarse, noise).T
     phi += gain @ apart
     noise -= gain @ noise
     C = dcm_from_quat(quat_from_rotvec(phi)) @ own.C
@@ -130,10 +133,11 @@ def _fit(state: Standing[Lines]) -> tuple[Standing[Lines], str | None]:
         reason = f"the vehicle moves: {g * float(np.max(left)):.2f} m/s off a standstill"
     elif off > level:
         reason = f"the level differs by {math.degrees(off):.2f} deg from the coarse one"
-    elif abs(apart[2]) > SIGMAS * math.sqrt(S[2, 2]):
+    elif odds > SIGMAS**2:
+        degrees = math.degrees(float(np.linalg.norm(apart)))
         reason = (
-            f"azimuth by the drift of the level is {math.degrees(apart[2]):.2f} deg off the coarse one: "
-            "the vehicle moves, or a sensor drifts"
+            f"attitude by the drift of the level is {degrees:.3f} deg off the coarse one: the vehicle moves, "
+            "or a sensor drifts"
         )
     elif abs(odd) > SIGMAS * slack:
         reason = (
