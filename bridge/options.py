@@ -82,11 +82,12 @@ class SinkOptions(Table):
 class ImuErrors(Table):
     """``[navigator.NAME.imu_errors]``: how good the IMU is, one sigma, after its calibration.
 
-    A bias is what stays for a whole run, an instability what wanders within ``correlation_s``. Scale errors
-    of 0 leave them out of the filter. The ``axes`` errors (misalignment, and scale where it is left out) are
-    what motion about or along one axis puts into another. A ``vibration`` is the part of the squared
-    difference of neighbouring samples that is noise: 1 for a sensor that is sampled, on an engine that
-    shakes it faster than half its rate, 0 for one that integrates between its samples.
+    A bias is all that is wrong at rest, with what the axes make of gravity, and stays for a whole run; an
+    instability is what wanders within ``correlation_s``. Scale and ``axes`` errors (misalignment: what motion
+    about or along one axis puts into each other one) are estimated; 0 for all leaves them out of the
+    filter. A ``vibration`` is the part of the squared difference of neighbouring samples that is noise: 1 for
+    a sensor that is sampled, on an engine that shakes it faster than half its rate, 0 for one that integrates
+    between its samples.
     """
 
     gyro_bias_deg_per_h: Positive = 0.5

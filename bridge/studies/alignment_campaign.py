@@ -50,7 +50,7 @@ class Trial(NamedTuple):
 
 
 _STAND: Final = Trial("standing", 0.2, 30.0, 299.0)
-_COARSE: Final = _STAND._replace(first_s=10.0, last_s=59.0)
+_COARSE: Final = _STAND._replace(first_s=17.0, last_s=59.0)
 _SWAY: Final = Trial("swaying", 0.05, 40.0, 69.0)
 _ROAD: Final = Trial("winding road", 0.1, 120.0, 598.0)
 TRIALS: Final[dict[str, Trial]] = {

@@ -73,7 +73,8 @@ def test_a_kilohertz_loses_nothing_while_it_catches_up(
     # back and ahead again over 8 s, 64 samples of 1 ms with each that comes
     assert (end_ns - begin_ns) * 1e-9 > 0.9 * 2.0 * 8.0 / 64.0
     behind = [out for out in said[0] if isinstance(out, Progress) and out.behind]
-    assert len([out for out in behind if begin_ns <= out.t_ns <= end_ns]) >= 4
+    # told ten times a second
+    assert len([out for out in behind if begin_ns <= out.t_ns <= end_ns]) >= 2
     solutions = [out.solution for out in outputs if isinstance(out, SolutionOut)]
     assert not [s for s in solutions if begin_ns <= s.t_ns < end_ns], "publication pauses"
     under_way = np.array([s.t_ns for s in solutions if s.mode is Mode.NAVIGATE])
