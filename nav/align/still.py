@@ -20,11 +20,13 @@ BLOCK_S: Final = 1.0
 TURNED: Final = math.radians(0.05)  # rad within a block
 PUSHED: Final = 0.05  # m/s within a block
 DROVE: Final = 0.5  # m/s by GNSS
+JUMPED: Final = 5.0  # m by GNSS, beyond what it claims
 ROLLED: Final = 0.02  # m by the odometer within one sample, or m/s of speed
 SIGMAS: Final = 6.0
 LEAN: Final = 30.0
 _GAP: Final = int(ImuFlag.GAP)
 _SATURATED: Final = int(ImuFlag.SATURATED)
+_RADIUS: Final = 6.37e6  # m, of the Earth
 _ZERO: Final = np.zeros(3)
 _TURN: Final = slice(SIZE, SIZE + 3)  # rad, sum of the angle increments of a block, behind its piece
 _PUSH: Final = slice(SIZE + 3, SIZE + 6)  # m/s, likewise
@@ -192,6 +194,10 @@ def aid(still: Still, sample: object) -> tuple[Still, str | None]:
         return still._replace(anchor=anchor), f"the vehicle drives: {speed:.1f} m/s by GNSS"
     step = np.array([sample.lat, sample.lon, sample.height]) - still.place
     step[1] = math.remainder(step[1], 2.0 * math.pi)  # on the date line
+    far = float(np.linalg.norm(step * [_RADIUS, _RADIUS * math.cos(sample.lat), 1.0]))
+    if still.fixes and far > JUMPED + SIGMAS * float(np.linalg.norm(sigma_p)):
+        reason = f"by GNSS it is {far:.0f} m from where it stood: the vehicle moved, or the fix is wrong"
+        return still._replace(anchor=anchor), reason
     n = still.fixes + 1
     # each fix errs in its own way here; what they have in common is added where it is configured
     return still._replace(

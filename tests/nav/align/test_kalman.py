@@ -91,6 +91,16 @@ def test_creeping_off_and_a_stuck_accelerometer_are_refused(name):
     assert "the forward accelerometer is stuck" in refusals[0]
 
 
+@pytest.mark.parametrize("name", ["kalman_closed", "kalman_psi"])
+def test_an_angle_that_only_the_gyros_saw_is_refused(name):
+    """0.006 deg in two seconds: 1 mm/s a second of velocity, which sway hides, but it leans to one side."""
+    C_gb, _, _, samples = standing(4, sway=GRADE.sway)
+    step = C_gb.T @ np.array([1e-4, 0.0, 0.0]) / 10.0
+    seen = moved(samples, 120.0, lambda s, t: s._replace(dtheta=s.dtheta + (step if t < 2.0 else 0.0)))
+    assert not making.align(name, samples, GRADE).refusals
+    assert "contradict a standstill" in making.align(name, seen, GRADE, insist=False).refusals[0]
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_gyros_and_latitude_are_looked_at_first(name):
     _, _, _, samples = standing(9, QUICK, 25.0)

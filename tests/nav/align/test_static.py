@@ -112,6 +112,23 @@ def test_position_comes_from_gnss_and_the_lever_arm_is_taken_off():
     assert HEIGHT - init.height == pytest.approx(2.0, abs=1e-3)
 
 
+def test_a_fix_far_from_the_others_is_refused():
+    config = dataclasses.replace(QUICK, position=None)
+    _, _, _, samples = standing(3, config, 90.0)
+    for jump, refused in ((5e-6, True), (1e-6, False)):  # 32 m and 6 m, of a receiver good to 1.7 m
+        mixed = []
+        for k, sample in enumerate(samples):
+            mixed.append(sample)
+            if k % 5 == 4:
+                t = sample.t_ns * 1e-9
+                mixed.append(fix(t, lat=LAT + (jump if t > 15.0 else 0.0)))
+        init, _, refusals = align(mixed, config)
+        assert init is not None
+        assert bool(refusals) == refused
+        if refused:
+            assert "by GNSS it is 32 m from where it stood" in refusals[0]
+
+
 def test_without_a_position_it_says_so():
     config = dataclasses.replace(QUICK, position=None)
     _, _, _, samples = standing(4, config, 90.0)
