@@ -66,6 +66,20 @@ def rotate(w: float, x: float, y: float, z: float, vx: float, vy: float, vz: flo
     return vx + w * tx + y * tz - z * ty, vy + w * ty + z * tx - x * tz, vz + w * tz + x * ty - y * tx
 
 
+@kernel
+def euler(w: float, x: float, y: float, z: float) -> Three:
+    """Heading in [0, 2 pi), pitch and roll of q_gb = (w, x, y, z), rad, as `nav.types.Solution` has them."""
+    heading = np.arctan2(2.0 * (x * y - w * z), w * w - x * x + y * y - z * z)
+    if heading < 0.0:
+        heading += 2.0 * np.pi
+    if heading >= 2.0 * np.pi:  # a tiny negative angle
+        heading = 0.0
+    sine = 2.0 * (y * z + w * x)
+    if abs(sine) > 1.0:  # by rounding; not asked of NaN, which stays
+        sine = np.copysign(1.0, sine)
+    return heading, np.arcsin(sine), np.arctan2(-2.0 * (x * z - w * y), w * w - x * x - y * y + z * z)
+
+
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Vector:
     """Product (..., 4) of quaternions ``a`` and ``b`` (..., 4): ``q_nv = q_nb q_bv``."""
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)

@@ -19,6 +19,7 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Final, Literal
 
+import numpy as np
 from msgspec import Meta
 
 from bridge.commands import METHODS
@@ -34,11 +35,12 @@ from bridge.outputs import (
     Transmit,
 )
 from bridge.sinks.base import SinkContext
+from bridge.sinks.epoch import EPOCH, EpochValues
 from bridge.sinks.packing import Packer
 from dbc.codec import MessageCodec
 from nav import polar
 from nav.polar import Frame
-from nav.types import Mode, S, Solution, SolutionFlag
+from nav.types import Mode, Solution
 
 _WEEK_NS = 7 * 86400 * 1_000_000_000
 _BRIDGE_TIME, _GPS_TIME = 0, 1
@@ -47,21 +49,6 @@ _TOTAL_MODULUS = 1 << 32
 _RECENT_LIMIT = 0xFFFF
 _RESTARTS_LIMIT = 31
 
-# frames of one epoch in sending order; the last one closes the epoch
-EPOCH = (
-    "SOL_TIME",
-    "SOL_LEVEL",
-    "SOL_HEADING",
-    "SOL_VEL_H",
-    "SOL_VEL_U",
-    "SOL_LAT",
-    "SOL_LON",
-    "SOL_HEIGHT",
-    "SOL_RATE",
-    "SOL_FORCE",
-    "SOL_SIGMA_ATT",
-    "SOL_SIGMA_VEL",
-)
 _ALWAYS = ("SOL_TIME", "SOL_HEADING")
 _FRAMES: Final = {"geographic": Frame.GEOGRAPHIC, "grid": Frame.GRID, "transverse": Frame.TRANSVERSE}
 
@@ -104,11 +91,12 @@ class CanSolution:
             math.radians(options.polar_leave_deg),
         )
         messages = context.contract
-        self._epoch = [(messages[name], _sigmas(messages[name])) for name in EPOCH]
-        self._packer = Packer([codec for codec, _ in self._epoch])
-        self._keys = [codec.frame_id + self._offset for codec, _ in self._epoch]
+        self._epoch = [messages[name] for name in EPOCH]
+        self._values = EpochValues()
+        self._packer = Packer(self._epoch)
+        self._keys = [codec.frame_id + self._offset for codec in self._epoch]
         self._rejects, self._health = messages["SOL_REJECTS"], messages["SOL_HEALTH"]
-        self._align, self._align_limits = messages["SOL_ALIGN"], _sigmas(messages["SOL_ALIGN"])
+        self._align, self._align_packer = messages["SOL_ALIGN"], Packer([messages["SOL_ALIGN"]])
         self._slot: int | None = None
         self._alive = 0
         self._alive_rejects = 0
@@ -144,7 +132,7 @@ class CanSolution:
                 self._solution_since_health = True
                 sent += self._send_epoch(latest.solution)
         if progress is not None:
-            sent.append(self._send_progress(progress))
+            sent += self._send_progress(progress)
         if health is not None:
             if not self._solution_since_health:
                 sent += self._send_status(health.t_ns)
@@ -157,16 +145,15 @@ class CanSolution:
 
     def _send_epoch(self, solution: Solution) -> list[Transmit]:
         self._frame = polar.switch(solution.lat, self._frame, self._polar, self._enter, self._leave)
-        values = epoch_values(solution, self._frame)
-        values["SOL_TIME"] = self._time_values(solution.t_ns, solution.mode)
-        physical: list[float | int] = []
-        for codec, sigmas in self._epoch:
-            physical += _saturated(values[codec.name], sigmas) if sigmas else values[codec.name]
-        payloads = self._packer.encode(self._alive, physical)
+        time = self._time_values(solution.t_ns, solution.mode)
+        payloads = self._packer.encode(self._alive, self._values.fill(time, solution, self._frame))
         self._alive = (self._alive + 1) % 15
+        return self._packed(self._keys, payloads)
+
+    def _packed(self, keys: Sequence[int], payloads: Sequence[bytes | None]) -> list[Transmit]:
         source = self._source
         # left out: a measured value is unknown or out of range
-        return [Transmit(source, key, data) for key, data in zip(self._keys, payloads, strict=True) if data]
+        return [Transmit(source, key, data) for key, data in zip(keys, payloads, strict=True) if data]
 
     def _send_status(self, t_ns: int) -> list[Transmit]:
         values = {
@@ -175,7 +162,7 @@ class CanSolution:
         }
         sent = [
             self._transmit(codec, self._alive, values[codec.name])
-            for codec, _ in self._epoch
+            for codec in self._epoch
             if codec.name in _ALWAYS
         ]
         self._alive = (self._alive + 1) % 15
@@ -190,7 +177,7 @@ class CanSolution:
         week, in_week = divmod(t_ns // 50_000 * 50_000, _WEEK_NS)
         return int(mode), base, week % 4096, in_week // 1000
 
-    def _send_progress(self, progress: Progress) -> Transmit:
+    def _send_progress(self, progress: Progress) -> list[Transmit]:
         east, north, up = (math.degrees(limit) for limit in progress.limit)
         values = (
             METHODS.get(progress.method, 0),
@@ -200,9 +187,9 @@ class CanSolution:
             max(east, north),
             up,
         )
-        sent = self._transmit(self._align, self._alive_align, _saturated(values, self._align_limits))
+        payloads = self._align_packer.encode(self._alive_align, np.array(values))
         self._alive_align = (self._alive_align + 1) % 15
-        return sent
+        return self._packed([self._align.frame_id + self._offset], payloads)
 
     def _send_health(self, health: Health) -> list[Transmit]:
         totals: dict[Reject, int] = dict.fromkeys(Reject, 0)
@@ -224,74 +211,3 @@ class CanSolution:
         sent.append(self._transmit(self._health, self._alive_health, wrapped))
         self._alive_health = (self._alive_health + 1) % 15
         return sent
-
-
-def level_sigmas(solution: Solution) -> tuple[float, float, float]:
-    """Standard deviations of roll, pitch and heading (rad) from those of phi about east, north, up.
-
-    Roll is about the level projection of the forward axis, pitch about the level right axis; east and
-    north errors are taken as uncorrelated.
-    """
-    east, north, up = solution.state[S.SIGMA_PHI].tolist()
-    heading = solution.heading
-    s, c = math.sin(heading), math.cos(heading)
-    return math.hypot(s * east, c * north), math.hypot(c * east, s * north), up
-
-
-def epoch_values(solution: Solution, frame: Frame = Frame.GEOGRAPHIC) -> dict[str, tuple[float | int, ...]]:
-    """Signals of every frame of an epoch but SOL_TIME, in the units of the contract; NaN where unknown."""
-    x = solution.state.tolist()
-    degrees = math.degrees
-    flags = solution.flags & 0xFFFF
-    heading, lat, lon, (east, north, up) = solution.heading, x[S.LAT], x[S.LON], x[S.V]
-    sigma_e, sigma_n, sigma_u = x[S.SIGMA_P]
-    sigma_ve, sigma_vn, sigma_vu = x[S.SIGMA_V]
-    place = Frame.GEOGRAPHIC
-    if frame is not Frame.GEOGRAPHIC:
-        seen = polar.view(frame, lat, lon, heading, (east, north, up))
-        heading, turn = float(seen.heading), float(seen.turn)
-        east, north, up = seen.v.tolist()
-        sigma_ve, sigma_vn = polar.turn_sigma(sigma_ve, sigma_vn, turn)
-        if frame is Frame.TRANSVERSE:
-            place, lat, lon = frame, float(seen.lat), float(seen.lon)
-            sigma_e, sigma_n = polar.turn_sigma(sigma_e, sigma_n, turn)
-    heading = degrees(heading)
-    if not math.isfinite(heading):
-        heading, flags = 0.0, flags & ~int(SolutionFlag.HEADING)
-    sigma_roll, sigma_pitch, sigma_heading = level_sigmas(solution)
-    return {
-        "SOL_LEVEL": (degrees(solution.roll), degrees(solution.pitch)),
-        "SOL_HEADING": (heading, flags, int(frame)),
-        "SOL_VEL_H": (east, north, int(frame)),
-        "SOL_VEL_U": (up,),
-        "SOL_LAT": (degrees(lat), sigma_n, int(place)),
-        "SOL_LON": (degrees(lon), sigma_e, int(place)),
-        "SOL_HEIGHT": (x[S.HEIGHT], sigma_u),
-        "SOL_RATE": tuple(degrees(w) for w in x[S.W]),
-        "SOL_FORCE": tuple(x[S.F]),
-        "SOL_SIGMA_ATT": (degrees(sigma_roll), degrees(sigma_pitch), degrees(sigma_heading)),
-        "SOL_SIGMA_VEL": (sigma_ve, sigma_vn, sigma_vu, int(frame)),
-    }
-
-
-def _sigmas(codec: MessageCodec) -> tuple[tuple[int, float, float], ...]:
-    """Place, smallest step and largest value of each standard deviation in a message."""
-    return tuple(
-        (place, float(signal.factor), float(signal.maximum))
-        for place, signal in enumerate(codec.info)
-        if signal.name.startswith(("SIGMA_", "LIMIT_"))
-    )
-
-
-def _saturated(
-    values: tuple[float | int, ...], sigmas: tuple[tuple[int, float, float], ...]
-) -> tuple[float | int, ...]:
-    """``values`` with standard deviations within what their signals can show, unknown ones at the largest."""
-    limited = list(values)
-    for place, step, maximum in sigmas:
-        # asked this way round, so that what is not a number ends up as the largest as well
-        if not 0.0 <= limited[place] <= maximum:
-            limited[place] = maximum
-        elif 0.0 < limited[place] < step:
-            limited[place] = step
-    return tuple(limited)

@@ -34,7 +34,7 @@ from bridge.drivers.dbc_map_signals import Book, Source, key_of
 from bridge.options import SinkOptions
 from bridge.outputs import FixOut, Output, SolutionOut, Transmit
 from bridge.sinks.base import SinkContext
-from bridge.sinks.can_solution import level_sigmas
+from bridge.sinks.epoch import level_sigmas
 from bridge.strict import Table
 from dbc.units import UNITS, si_factor
 from nav.types import S, Solution, SolutionFlag

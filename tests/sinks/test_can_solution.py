@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from bridge.outputs import DeviceHealth, FixOut, Health, ModeChange, Output, Progress, Reject, Transmit
 from bridge.sinks import SINKS, SinkContext
-from bridge.sinks.can_solution import EPOCH, CanSolution, CanSolutionOptions
+from bridge.sinks.can_solution import CanSolution, CanSolutionOptions
+from bridge.sinks.epoch import EPOCH
 from dbc.codec import contract
 from nav import earth, polar
 from nav.polar import Frame, View

@@ -21,7 +21,8 @@ from bridge.engine import Engine
 from bridge.frame import RawFrame
 from bridge.outputs import Transmit
 from bridge.sinks import SINKS, SinkContext
-from bridge.sinks.can_solution import EPOCH, CanSolutionOptions
+from bridge.sinks.can_solution import CanSolutionOptions
+from bridge.sinks.epoch import EPOCH
 from dbc.codec import contract
 from nav import earth, polar
 from nav.polar import Frame, View
