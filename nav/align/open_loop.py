@@ -137,7 +137,7 @@ def _fit(state: Standing[Lines]) -> tuple[Standing[Lines], str | None]:
         degrees = math.degrees(float(np.linalg.norm(apart)))
         reason = (
             f"attitude by the drift of the level is {degrees:.3f} deg off the coarse one: the vehicle moves, "
-            "or a sensor drifts"
+            "or a gyro or an accelerometer is wrong"
         )
     elif abs(odd) > SIGMAS * slack:
         reason = (

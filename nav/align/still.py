@@ -165,7 +165,10 @@ def contradiction(leaning: Lean, y: Vector, S: Vector, floor: float, unit: str) 
     variance = (1.0 - (1.0 - weight / LEAN) ** 2) / (1.0 - keep**2)
     sigmas = float(np.linalg.norm(sums)) / math.sqrt(scatter * variance)
     if sigmas > SIGMAS:
-        return leaning, f"force and rate contradict a standstill by {sigmas:.0f} sigma: the vehicle moves"
+        return leaning, (
+            f"force and rate contradict a standstill by {sigmas:.0f} sigma: the vehicle moves, "
+            "or a gyro or an accelerometer is wrong"
+        )
     return leaning, None
 
 
