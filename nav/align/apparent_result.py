@@ -17,6 +17,7 @@ from nav.earth import EARTH_RATE
 from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, skew
 from nav.types import Vector
 
+IDEAL: Final = 1e-30  # rad/s or m/s^2: no bias at all
 LATITUDES: Final = 0.0053  # of gravity, from the equator to a pole
 _EYE: Final = np.eye(3)
 
@@ -96,9 +97,13 @@ def poor_gyros(config: AlignConfig, lat: float, seconds: float) -> str | None:
     )
 
 
-def contradiction(e: constant.Estimate, solved: Solved, lat: float) -> str | None:
-    """What the nine elements contradict, in words, or None: the latitude, gravity, or the base's rest."""
-    if solved.misfit <= constant.MISFIT:
+def contradiction(e: constant.Estimate, solved: Solved, config: AlignConfig, lat: float) -> str | None:
+    """What the nine elements contradict, in words, or None: the latitude, gravity, or the base's rest.
+
+    Biases far from what they were said to be contradict as well: a wrong latitude is taken for one first.
+    """
+    biases = (solved.x[EPS] / max(config.gyro_bias, IDEAL), solved.x[NAB] / max(config.accel_bias, IDEAL))
+    if solved.misfit + float(np.sum(np.square(biases))) <= constant.MISFIT:
         return None
     M = constant.unshrunk(e, solved.C)[constant.MAT].reshape(3, 3)
     up, east = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])

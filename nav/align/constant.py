@@ -35,7 +35,7 @@ OFFSET: Final = slice(27, 30)  # m, in b0: place at the beginning, what a refere
 WHEEL: Final = slice(30, 33)  # 1, rad, rad: odometer scale, mounting in heading and in pitch
 SIZE: Final = 33
 FREE: Final = 1.0 / 3.0  # variance of an element of any rotation
-MISFIT: Final = 60.0  # chi-square of six degrees of freedom that no run of the mill data reach
+MISFIT: Final = 50.0  # chi-square of twelve degrees of freedom that no run of the mill data reach
 UNKNOWN: Final = 0.2  # rad: less is known of the rotation than its covariance can say
 _EYE: Final = np.eye(3)
 _CROSS: Final = skew(_EYE)  # [e_k x]
@@ -198,15 +198,19 @@ def attitude_of_all(e: Estimate) -> Solved | None:
     spread = gain @ J
     x = e.x - gain @ (m - C.ravel())
     rest = e.P - gain @ e.P[MAT, :] + spread @ sigma @ spread.T
-    misfit = _misfit(told - true @ C.ravel(), true, e.feigned)
+    misfit = _misfit(told - true @ C.ravel(), true, e.feigned, C)
     return _joint(C, x, sigma, sigma @ spread[9:].T, rest, misfit)
 
 
-def _misfit(off: Vector, true: Vector, feigned: Vector) -> float:
-    """Chi-square of what the elements miss a rotation by, of those that are told by more than noise."""
+def _misfit(off: Vector, true: Vector, feigned: Vector, C: Vector) -> float:
+    """Chi-square of what the elements miss a rotation by, of those that are told by more than noise.
+
+    What noise feigns scatters, and is not known better than the receiver's claims about itself.
+    """
     size, axes = np.linalg.eigh(true)
     false = np.einsum("ik,ij,jk->k", axes, feigned, axes)
-    square = (axes.T @ off) ** 2 / (np.abs(size) + 2.0 * false)  # squares of noise scatter too
+    claimed = axes.T @ feigned @ C.ravel()
+    square = (axes.T @ off) ** 2 / (np.abs(size) + 2.0 * false + claimed**2)
     return float(np.sum(square[size > false]))
 
 

@@ -5,6 +5,9 @@ place and gravity ask for in i0 (eq. (3-26b), recursively from fix to fix, integ
 velocity is differentiated). The accuracy is that of the velocity at single epochs, and a stop has an exact
 one: zero. Where a receiver gives no velocity its positions are compared instead, once more integrated, their
 lasting error estimated.
+
+With stops the sensors limit heading as at rest. Without, the receiver does: velocities of 0.1 m/s leave 0.07
+deg after 330 s of a winding road and 0.13 of a straight one, where the sensors alone leave 0.025.
 """
 
 from __future__ import annotations
@@ -47,6 +50,7 @@ from nav.types import FixType, GnssFix, ImuSample, OdoSample, Sample, Vector
 START_SPEED: Final = 100.0  # m/s
 SPACING_S: Final = 0.45  # fixes that come sooner tell little more
 LASTS_S: Final = 200.0  # s that the slow error of GNSS positions lasts
+FLEETING: Final = 0.3  # of a position's variance differs from fix to fix; the lasting part is a state
 ODD: Final = 30.0  # chi-square of three degrees of freedom of an epoch that is left out
 MOST_ODD: Final = 5  # such epochs in a row
 LEVER_S: Final = 0.04  # s over which the antenna's swing is taken
@@ -194,7 +198,7 @@ def _epoch(state: Drive, track: Tracker, row: Vector, t_ns: int, fix: GnssFix) -
         H = constant.design(twice)
         H[:, POS], H[:, START], H[:, OFFSET], H[:, WHEEL] = -_EYE, -seconds * _EYE, _EYE, _EYE
         z = row[A_P : A_P + 3] + (attitude(row) - _EYE) @ lever
-        sigma = fix.sigma_position
+        sigma = fix.sigma_position * math.sqrt(FLEETING)
     R, noise = _round(row, sigma)
     state = state._replace(path=path, estimate=e, row=row, rest=rest, place=place)
     if settled and constant.innovation(e, H, z, R).chi2 > ODD:
@@ -278,7 +282,7 @@ def _solve(state: Drive, done: bool) -> Taken[Drive]:
     lat, _, height = state.place
     w_in_g = earth_rate_g(lat) + transport_rate_g(lat, height, v_g)
     state = state._replace(solved=solved, status=status, v_g=v_g, w_in_g=w_in_g)
-    return state, contradiction(e, solved, path.lat)
+    return state, contradiction(e, solved, state.config, path.lat)
 
 
 def _velocity(state: Drive, solved: Solved, row: Vector) -> tuple[Vector, Vector]:

@@ -193,7 +193,7 @@ def _solve(state: Sway, twice: bool, vectors: bool, done: bool) -> Taken[Sway]:
     C_gb, P_phi = attitude_now(solved, row, lat, lat, 0.0)
     part = progress(state.config, seconds)
     status = AlignStatus(quat_from_dcm(C_gb), P_phi, state.status.limit, part, done)
-    reason = contradiction(estimate, solved, lat)
+    reason = contradiction(estimate, solved, state.config, lat)
     return state._replace(solved=solved, status=status), reason
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from bridge.studies.alignment_truth import (
-    DEG_PER_H,
     HEIGHT,
     LAT,
     LON,
@@ -22,24 +21,21 @@ from bridge.studies.alignment_truth import (
     ticks,
     times,
 )
-from nav.align import ALIGNMENTS, AlignConfig, advance, begin, result
 from nav.align.rolled import gravity_change, transport
 from nav.earth import EARTH_RATE, ecef, gravity_g, position_matrix, transport_rate_g, xyz_to_geodetic
 from nav.rotation import dcm_from_quat, quat_from_rotvec
 from nav.types import ImuSample
+from tests.nav.align import making
 
 DT, ODO = 0.05, 0.1
 BEGIN = 20.0  # s: the vehicle is on its way by then
 SECONDS = 600.0
 IMU = np.array([0.3, 1.2, 0.8])  # m from the rear axle
 
-GRADE = AlignConfig(
-    gyro_bias=0.007 * DEG_PER_H,
-    accel_bias=5e-5 * G,
-    angle_random_walk=math.radians(0.0005) / 60.0,
-    velocity_random_walk=1e-5 * G,
-    coarse_s=60.0,
+GRADE = dataclasses.replace(
+    making.GRADE,
     fine_s=SECONDS - 60.0,
+    position=None,
     sigma_position=0.1,
     C_vb=np.eye(3),
     odometer_scale=0.003,
@@ -77,20 +73,7 @@ def driven(kind, seed, config=GRADE, scale=None):
 
 
 def align(samples, config, at_s=()):
-    run = begin(ALIGNMENTS["odometer"], config)
-    refusals, seen, waiting = [], [], list(at_s)
-    for sample in samples:
-        run, status = advance(run, sample)
-        if status.refusal:
-            refusals.append(status.refusal)
-            break
-        t = sample.t_ns * 1e-9 - BEGIN
-        if waiting and t > waiting[0] - 1e-6 and isinstance(sample, ImuSample):
-            seen.append((sample.t_ns, status))
-            waiting.pop(0)
-        if status.done:
-            return result(run), seen, refusals
-    return None, seen, refusals
+    return making.align("odometer", samples, config, at_s, insist=False)
 
 
 def off(init, true):
@@ -116,8 +99,7 @@ def test_gravity_changes_with_place_as_the_ellipsoids_does():
 @pytest.mark.parametrize("kind", ["straight", "winding"])
 def test_error_free_sensors_give_attitude_and_place(kind):
     trajectory, _C_vb, config, samples, _, _ = driven(kind, 1, PERFECT, 1.0)
-    init, _, refusals = align(samples, config)
-    assert not refusals
+    init = align(samples, config).init
     true = trajectory.state(init.t_ns)
     phi = misalignment(dcm_from_quat(true.q_gb), init.q_gb)
     # ticks, 24 mm over the square root of the samples of an epoch, against 1900 m/rad of heading
@@ -133,9 +115,8 @@ def test_ten_minutes_reach_the_limit_and_the_normalised_error_is_what_it_should_
     place, twelve, sigma = np.zeros((seeds, 2)), np.zeros(seeds), np.zeros(seeds)
     for seed in range(seeds):
         trajectory, C_vb, config, samples, eps, nabla = driven(kind, seed)
-        init, seen, refusals = align(samples, config, EPOCHS)
-        assert not refusals
-        motion = trajectory.motion(np.array([t for t, _ in seen]))
+        init, _, _, seen, _ = align(samples, config, EPOCHS)
+        motion = trajectory.motion(np.array([sample.t_ns for sample, _ in seen]))
         for k, (_, status) in enumerate(seen):
             phi = misalignment(motion.C_gv[k] @ C_vb, status.estimate)
             nees[seed, k] = phi @ np.linalg.solve(status.covariance, phi)
@@ -171,8 +152,7 @@ def test_ten_minutes_reach_the_limit_and_the_normalised_error_is_what_it_should_
 def test_an_unknown_mounting_is_found_where_the_road_winds():
     trajectory, _C_vb, config, samples, _, _ = driven("winding", 2)
     config = dataclasses.replace(config, C_vb=None)
-    init, _, refusals = align(samples, config)
-    assert not refusals
+    init = align(samples, config).init
     phi = misalignment(dcm_from_quat(trajectory.state(init.t_ns).q_gb), init.q_gb)
     assert abs(phi[2]) < 3.0 * math.sqrt(init.P_phi[2, 2])
     assert math.degrees(math.sqrt(init.P_phi[2, 2])) < 0.03
@@ -189,27 +169,27 @@ def test_wheel_slip_is_named():
         else s
         for s in samples
     ]
-    assert "wheel slip" in align(slipping, config)[2][0]
+    assert "wheel slip" in align(slipping, config).refusals[0]
 
 
 def test_missing_odometer_samples_are_named():
     _, _, config, samples, _, _ = driven("straight", 0)
     some = [s for s in samples if isinstance(s, ImuSample) or not 50.0 < s.t_ns * 1e-9 - BEGIN < 52.0]
-    assert "odometer samples" in align(some, config)[2][0]
+    assert "odometer samples" in align(some, config).refusals[0]
 
 
 def test_a_wrong_latitude_and_a_stuck_accelerometer_are_named():
     _, _, config, samples, _, _ = driven("straight", 1)
     lat, lon, height = config.position
     wrong = dataclasses.replace(config, position=(lat + math.radians(2.0), lon, height))
-    assert "latitude" in align(samples, wrong)[2][0]
+    assert "latitude" in align(samples, wrong).refusals[0]
     stuck = [
         s._replace(dv=np.array([s.dv[0], 1e-3, s.dv[2]])) if isinstance(s, ImuSample) and s.t_ns > 90e9 else s
         for s in samples
     ]
-    assert "forward accelerometer is stuck" in align(stuck, config)[2][0]
+    assert "forward accelerometer is stuck" in align(stuck, config).refusals[0]
 
 
 def test_without_a_position_it_says_so():
     _, _, config, samples, _, _ = driven("straight", 2)
-    assert "no position" in align(samples, dataclasses.replace(config, position=None))[2][0]
+    assert "no position" in align(samples, dataclasses.replace(config, position=None)).refusals[0]
