@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -106,7 +107,7 @@ def _update(state: Standing[Filter], block: Block, model: Model) -> tuple[Standi
     gained = own.C @ dv + g * dt + 0.5 * dt**2 * np.cross(w_ie, g)
     C = dcm_from_quat(quat_from_rotvec(-w_ie * dt)) @ own.C @ block.rotation
     v = own.v + gained
-    F = alignment_dynamics(given.lat, normal_gravity(math.sin(given.lat), given.height), vertical=True)
+    F = _dynamics(given.lat, given.height)
     keep, measured = np.array(model.keep), np.array(model.measured)
     part = np.ix_(keep, keep)
 
@@ -146,6 +147,11 @@ def _update(state: Standing[Filter], block: Block, model: Model) -> tuple[Standi
     own = Filter(given, C, v, x, P, window, leaning, blocks, seconds)
     state = state._replace(own=own, biases=biases)
     return fine_status(state, seconds, dcm_from_quat(quat_from_rotvec(x[_PHI])) @ C, P), reason
+
+
+@lru_cache(maxsize=16)
+def _dynamics(lat: float, height: float) -> Vector:
+    return alignment_dynamics(lat, normal_gravity(math.sin(lat), height), vertical=True)
 
 
 def _noise(config: AlignConfig) -> Vector:

@@ -8,26 +8,38 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.studies import alignment_truth
+from bridge.studies import alignment_runs, alignment_truth
 from bridge.studies.alignment_truth import DEG_PER_H, HEIGHT, LAT, LON, G, sensed
-from nav.align import ALIGNMENTS, AlignConfig, AlignStatus, NavInit, advance, begin, result
+from nav.align import ALIGNMENTS, AlignStatus, NavInit, advance, begin, result
 from nav.earth import earth_rate_g, gravity_g
 from nav.rotation import dcm_from_euler
 from nav.types import FixType, GnssFix, ImuSample
 
+__all__ = [
+    "BAND_3",
+    "DEG_PER_H",
+    "DT",
+    "GRADE",
+    "HEIGHT",
+    "LAT",
+    "LON",
+    "QUICK",
+    "Aligned",
+    "G",
+    "align",
+    "fix",
+    "misalignment",
+    "moved",
+    "nees",
+    "standing",
+    "swayed",
+]
+
 DT = 0.2
 BAND_3 = (0.9, 5.4)  # the mean of 8 chi-square values of 3 degrees of freedom: 99.8 % of them
 
-# navigation grade: 0.007 deg/h, 0.0005 deg/sqrt(h), 50 ug, 10 ug/sqrt(Hz)
-GRADE = AlignConfig(
-    gyro_bias=0.007 * DEG_PER_H,
-    accel_bias=5e-5 * G,
-    angle_random_walk=math.radians(0.0005) / 60.0,
-    velocity_random_walk=1e-5 * G,
-    coarse_s=60.0,
-    fine_s=240.0,
-    position=(LAT, LON, HEIGHT),
-)
+# navigation grade, an ordinary store
+GRADE = dataclasses.replace(alignment_runs.GRADE, store_s=900.0, replay_samples=64)
 QUICK = dataclasses.replace(GRADE, coarse_s=20.0, fine_s=40.0)
 
 
