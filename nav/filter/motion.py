@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from nav.earth import EARTH_RATE
+from nav.earth import EARTH_RATE, curvature
 from nav.filter.states import P_LO, X_A, X_F, X_PATH, X_PT, X_QV, X_TICK_COV, X_TICK_VAR, X_W
 from nav.jit import in_place, kernel
 from nav.rotation import rotate
-from nav.strapdown.kernels import M_C, X_C, X_Q, X_V
+from nav.strapdown.kernels import M_C, X_C, X_H, X_Q, X_V
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -28,6 +28,20 @@ def matrix(q: Vector) -> Matrix:
             q[0], q[1], q[2], q[3], 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
         )
     return C
+
+
+@in_place
+def place_beside(x: Vector, ax: float, ay: float) -> tuple[float, float, float, float, float]:
+    """Level part of the polar axis in n, and the vertical in e, ``ax``, ``ay`` m along the level axes of n.
+
+    By direction vectors, so that it holds at a pole: the vertical turns by the curvature times the way.
+    """
+    ex, ey, ez = x[X_C + 6], x[X_C + 7], x[X_C + 8]
+    kxx, kxy, kyy = curvature(ex, ey, ez, x[X_H])
+    tx, ty = kxx * ax + kxy * ay, kxy * ax + kyy * ay
+    ux = x[X_C + 2] + x[X_C] * tx + x[X_C + 1] * ty
+    uy = x[X_C + 5] + x[X_C + 3] * tx + x[X_C + 4] * ty
+    return ex - ez * tx, ey - ez * ty, ux, uy, ez + ex * tx + ey * ty
 
 
 @in_place

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from nav.earth import EARTH_RATE, gravity_north, normal_gravity, radii
+from nav.earth import EARTH_RATE, gravity_north, normal_gravity
 from nav.filter.covariance import PREDICT_SIZE, feedback, predict
-from nav.filter.motion import carry_tick, lose_path, times, undo_axes
+from nav.filter.motion import carry_tick, lose_path, place_beside, times, undo_axes
 from nav.filter.states import (
     P_GAP_A,
     P_GAP_W,
@@ -255,12 +255,7 @@ def solution_row(x: Vector, P: Matrix, par: Vector, out: Vector) -> bool:
     Returns False when anything in it is not finite.
     """
     qw, qx, qy, qz = x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3]
-    # sine and cosine of wander; at a pole any azimuth will do
     ex, ey, ez = x[X_C + 6], x[X_C + 7], x[X_C + 8]
-    cos_lat = np.hypot(ex, ey)
-    sa, ca = (ex / cos_lat, ey / cos_lat) if cos_lat > 1e-14 else (0.0, 1.0)
-    lat = np.arctan2(ez, cos_lat)
-    lon = np.arctan2(x[X_C + 5], x[X_C + 2])
     height = x[X_H]
     vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
     px, py, pz = par[P_LP], par[P_LP + 1], par[P_LP + 2]
@@ -272,11 +267,13 @@ def solution_row(x: Vector, P: Matrix, par: Vector, out: Vector) -> bool:
         wx, wy, wz = x[X_W] - ix, x[X_W + 1] - iy, x[X_W + 2] - iz
         ux, uy, uz = rotate(qw, qx, qy, qz, wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
         vx, vy, vz = vx + ux, vy + uy, vz + uz
-        r_m, r_n = radii(ez)
-        lat += (sa * ax + ca * ay) / (r_m + height)
-        if cos_lat > 1e-14:
-            lon += (ca * ax - sa * ay) / ((r_n + height) * cos_lat)
         height += az
+    ex, ey, up_x, up_y, up_z = place_beside(x, ax, ay)
+    lat = np.arctan2(up_z, np.hypot(up_x, up_y))
+    lon = np.arctan2(up_y, up_x)
+    # sine and cosine of wander; at a pole any azimuth will do
+    cos_lat = np.hypot(ex, ey)
+    sa, ca = (ex / cos_lat, ey / cos_lat) if cos_lat > 1e-14 else (0.0, 1.0)
     out[0], out[1], out[2] = lat, lon, height
     out[3], out[4], out[5] = ca * vx - sa * vy, sa * vx + ca * vy, vz
 

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from nav import earth
 from nav import rotation as rot
 from nav.filter import states as st
 from nav.filter.propagate import ROW_D, ROW_DT, ROW_N, ROW_NOISE, WORK_SIZE, propagate, row_size, solution_row
 from nav.filter.report import solution_covariance
+from nav.strapdown.kernels import X_C, X_H, X_Q
 from nav.types import S
 from tests.nav.filter.making import covariance, disturbed, nominal
 
@@ -63,3 +65,23 @@ def test_axes_of_accelerometers_make_nothing_of_the_force_at_rest():
         row[ROW_D + 6 : ROW_D + 9] = row[ROW_D + 9 : ROW_D + 12] = 0.01 * (rest + axes @ beside + bias)
         propagate(y, np.zeros((st.FULL, st.FULL)), par, np.zeros(WORK_SIZE), row)
         np.testing.assert_allclose(y[st.X_F : st.X_F + 3], rest + beside, rtol=1e-12)
+
+
+@pytest.mark.parametrize("distance", [0.5, 3.0, 2e5])  # m from the pole
+def test_the_output_point_is_where_it_is_in_space(distance):
+    """Position and heading next to a pole, where half a metre turns longitude by as much as you like."""
+    lat, lon, wander = np.pi / 2 - distance / 6_399_594.0, 2.0, 0.7
+    x, par = nominal(seed=3), parameters()
+    C_en = earth.position_matrix(lat, lon, wander)
+    x[X_C : X_C + 9] = C_en.ravel()
+    q_vb = x[st.X_QV : st.X_QV + 4]
+    out = row(x, np.zeros((st.FULL, st.FULL)), par)
+    here = np.array(earth.geodetic_to_xyz(lat, lon, x[X_H]))
+    C_eb = C_en @ rot.dcm_from_quat(x[X_Q : X_Q + 4])
+    said = np.array(earth.geodetic_to_xyz(*out[:3]))
+    # straight on and along the curved surface differ by l^2 / 2R
+    assert np.linalg.norm(said - (here + C_eb @ LEVER)) < 5e-7
+    C_ev = earth.position_matrix(out[0], out[1]) @ rot.dcm_from_quat(out[S.Q])
+    # its vertical is another, by the lever arm over the Earth's radius, and its vehicle is turned with that
+    turned = rot.rotvec_from_quat(rot.quat_from_dcm(C_ev.T @ C_eb @ rot.dcm_from_quat(q_vb).T))
+    assert np.linalg.norm(turned) < 1.1 * np.linalg.norm(LEVER) / 6.35e6
