@@ -128,6 +128,19 @@ def gains(leg: Leg, earth: Place, seconds: float) -> tuple[LevelGains, AzimuthGa
     return level_gains(sign * level, earth.gravity), azimuth_gains(sign * sigma, earth.gravity)
 
 
+def open_book(course: Course, velocity: Vector, tilt: Vector, heading: float) -> None:
+    """Begin the book where heading has been found otherwise.
+
+    Covariances of the velocity (3, 3) and of the tilt (3, 3), sigma of heading (rad).
+    """
+    assert course.earth is not None
+    start = np.zeros(STATES)
+    start[[V_E, V_N]] = np.sqrt(np.diag(velocity)[0:2])
+    start[PHI] = *np.sqrt(np.diag(tilt)[0:2]), heading
+    course.ledger = Ledger(course.earth, start)
+    course.found = heading
+
+
 def compile_loops(config: AlignConfig) -> None:
     """Have everything compiled that a course needs later: not while samples come in."""
     row, second = np.zeros((1, 6)), np.ones(1)

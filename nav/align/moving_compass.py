@@ -2,11 +2,11 @@
 
 Yan Gongmin 2008, section 2.4. The loops of `nav.align.compass_loop` are told the vehicle's velocity, the
 odometer's along the forward axis turned by the attitude that they themselves have (eqs. (2-28) to
-(2-30), with the velocity turning with the platform). They level without a heading; a coarse azimuth
-follows; they run on to the end of the time given, and back to the beginning. From there a last pass leads
-through the stored data to the present, and that one weighs by covariance (`nav.align.moving_weights`),
-as the coarse azimuth does: the fixed gains of the printed form lose heading on winding roads. The
-position comes from the last pass: that is what section 2.4.3 goes back to the start and ahead again for.
+(2-30), with the velocity turning with the platform). They level without a heading; a coarse azimuth follows,
+and the azimuth loop leads back to the beginning. From there the last step weighs by covariance
+(`nav.align.moving_weights`), as the coarse azimuth does: the fixed gains of the printed form lose heading on
+winding roads. It keeps up with the present, and goes back and ahead once more where it had to put right what
+is not small. The position comes from that too: section 2.4.3 goes back to the start and ahead again for it.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from nav.align.compass_course import (
     is_lost,
     is_over,
     next_piece,
+    open_book,
     phi_covariance,
     place_course,
     progress,
@@ -41,9 +42,10 @@ from nav.align.compass_course import (
 )
 from nav.align.compass_loop import head
 from nav.align.handover import hand_over
-from nav.align.moving_weights import BLOCK_S, PITCH, POS, TILT, YAWED, Weights
+from nav.align.moving_way import ADD, PUT, SMOOTH_NS, TAKE, carried, turn, velocities, way_at
+from nav.align.moving_weights import PITCH, POS, TILT, VEL, YAWED, Weights
 from nav.align.static import limits
-from nav.align.store import Piece, Store, Times, Track
+from nav.align.store import Piece, Store, Track
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import ecef, position_quat, xyz_to_geodetic
 from nav.rotation import dcm_from_quat, quat_from_dcm, quat_rotate
@@ -53,29 +55,28 @@ from nav.types import FixType, GnssFix, ImuSample, OdoSample, Sample, Vector
 BLIND: Final = "blind"
 WEIGH: Final = "weigh"
 RETURN: Final = "return"
-SMOOTH_NS: Final = 500_000_000  # on either side: ticks are averaged to a velocity
 AHEAD_NS: Final = 1_000_000_000  # of the way for the first velocity
 MISSING_NS: Final = 1_000_000_000  # without the odometer
+BEHIND_S: Final = 2.0  # more than it waits for the odometer
 OPENING: Final = 0.2  # of the time, at least, to find a coarse azimuth
+PERIOD: Final = 0.75  # damped period of the azimuth loop per time
 LEVELLING: Final = 0.35  # of that to level: 1.2 damped periods, before a coarse azimuth is looked for
-PERIOD: Final = 0.75  # damped period per time
-LOOSE: Final = 1e-4  # rad of level that the loops lose in turns, to errors of scale and accelerometers
 FEELS: Final = 0.1  # of Earth's north rate, by which it may be missed
 KNOWN: Final = math.radians(20.0)  # sigma of a coarse azimuth that will do
-ASTRAY: Final = math.radians(1.5)  # of heading that the last pass may put right without another one
+SMALL: Final = math.radians(0.5)  # of heading that a pass may put right without another one
+ASTRAY: Final = math.radians(1.5)  # that the last one may
+MOST: Final = 3  # further passes
 
 
 def plan(config: AlignConfig) -> tuple[Leg, ...]:
     """Level, coarse azimuth, compass ahead and back, and the weighing pass."""
     end = config.coarse_s + config.fine_s
     first = max(config.coarse_s, OPENING * end)
-    period = PERIOD * end
     return (
         Leg(LEVEL, True, LEVELLING * first, (LEVELLING * first / 1.2,)),
         Leg(BLIND, True, first, ()),
-        Leg(COMPASS, True, end, (period,)),
-        Leg(COMPASS, False, 0.0, (period,)),
-        Leg(WEIGH, True, PRESENT, ()),
+        Leg(COMPASS, False, 0.0, (PERIOD * end,)),
+        Leg(WEIGH, True, end, ()),
     )
 
 
@@ -88,54 +89,15 @@ class Drive:
     way: float = 0.0
     fix: GnssFix | None = None
     weights: Weights | None = None
-    coarse: Vector | None = None  # covariance of phi after the coarse azimuth
     force: Vector = field(default_factory=lambda: np.zeros(3))  # m/s, velocity increments of the first second
+    at: Vector = field(default_factory=lambda: np.zeros(4))  # q_gb where the loops are
+    turned: Vector = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))  # b now to b there
+    lag: float = 0.0  # s from there to now
     over: bool = False  # the last pass has come to the present, and nothing speaks against it
     seconds: float = 0.0  # since it was last asked whether the odometer is there
 
 
-# ---- the way -----------------------------------------------------------------------------------
-
-
-def way_at(path: Track, t_ns: Times) -> Vector:
-    """Way (k,) m at ascending times (k,) int64 ns, between those of the odometer by straight lines."""
-    place = max(path.first, path.number(int(t_ns[0])) - 1)
-    times, ways = [], []
-    while place < path.count:
-        piece = path.ahead(place, path.count - place)
-        stop = min(len(piece.t_ns), int(np.searchsorted(piece.t_ns, t_ns[-1])) + 1)
-        times.append(piece.t_ns[:stop])
-        ways.append(piece.rows[:stop, 0])
-        place += stop
-        if piece.t_ns[stop - 1] >= t_ns[-1]:
-            break
-    zero = int(t_ns[0])
-    known = (np.concatenate(times) - zero).astype(np.float64)
-    return np.asarray(np.interp((t_ns - zero).astype(np.float64), known, np.concatenate(ways)))
-
-
-def speeds(path: Track, piece: Piece) -> Vector:
-    """Mean speed (k,) m/s around each sample of a piece: the ticks of a second, half of it on either side."""
-    low = np.maximum(piece.t_ns - SMOOTH_NS, _first_ns(path))
-    high = np.minimum(piece.t_ns + SMOOTH_NS, path.last_ns)
-    t_ns = np.concatenate([low, high])
-    order = np.argsort(t_ns, kind="stable")
-    way = np.empty(len(t_ns))
-    way[order] = way_at(path, t_ns[order])
-    n = len(low)
-    return np.asarray((way[n:] - way[:n]) / np.maximum((high - low) * 1e-9, 1e-3))
-
-
-def _first_ns(path: Track) -> int:
-    return int(path.ahead(path.first, 1).t_ns[0])
-
-
-def velocities(config: AlignConfig, path: Track, piece: Piece) -> Vector:
-    """Velocity (k, 3) m/s of the IMU in b: the odometer's point rolls forward, the arm turns about it."""
-    assert config.C_vb is not None
-    rates = piece.rows[:, 0:3] / piece.dt[:, None]
-    turning = np.cross(rates, config.odometer_lever_arm)
-    return np.asarray(speeds(path, piece)[:, None] * config.C_vb[1] - turning)
+# ---- the stage ---------------------------------------------------------------------------------
 
 
 def _roll(drive: Drive, sample: OdoSample) -> str | None:
@@ -150,9 +112,6 @@ def _roll(drive: Drive, sample: OdoSample) -> str | None:
     drive.way += sample.distance
     path.row(sample.t_ns, sample.dt)[0] = drive.way
     return None
-
-
-# ---- the stage ---------------------------------------------------------------------------------
 
 
 def _init(config: AlignConfig, given: NavInit | None) -> Drive:
@@ -176,9 +135,18 @@ def _step(drive: Drive, sample: Sample) -> tuple[Drive, AlignStatus]:
             place_course(course, course.config.position)
         if course.origin is not None:
             reason = _inertial(drive, sample)
-    if reason is None and course.status is not None:
+    if reason is not None or course.status is None:
+        return drive, _status(drive, reason)
+    if course.status.estimate is None or not isinstance(sample, ImuSample):
         return drive, course.status
-    return drive, _status(drive, reason)
+    return drive, course.status._replace(estimate=_present(drive))
+
+
+def _present(drive: Drive) -> Vector:
+    """Attitude of now: the gyros lead there from where the loops are."""
+    earth = drive.course.earth
+    assert earth is not None
+    return carried(drive.at, drive.turned, np.array([0.0, earth.north, earth.up]) * drive.lag)
 
 
 def _inertial(drive: Drive, sample: ImuSample) -> str | None:
@@ -190,6 +158,9 @@ def _inertial(drive: Drive, sample: ImuSample) -> str | None:
     reason = watch.fault(sample)
     if sample.t_ns - course.t0_ns <= AHEAD_NS:
         drive.force += sample.dv
+    else:
+        turn(drive.turned, sample.dtheta[None, :], ADD)
+        drive.lag += sample.dt
     drive.seconds += sample.dt
     if drive.seconds >= 1.0:
         drive.seconds = 0.0
@@ -212,53 +183,59 @@ def _inertial(drive: Drive, sample: ImuSample) -> str | None:
 
 def _work(drive: Drive) -> str | None:
     """Go on in the plan, over at most as many samples as one step may work off."""
-    course, path = drive.course, drive.path
-    imu = course.store.imu
+    course = drive.course
     left = course.config.replay_samples
     moved = False
     while left > 0 and course.leg < len(course.plan):
-        if drive.over:
-            return _coast(drive, left)
         if is_lost(course):
             return f"it takes longer than the {course.config.store_s:.0f} s of samples that are kept"
-        weighs = course.plan[course.leg].kind in (BLIND, WEIGH)
-        piece = next_piece(course, left, imu.number(path.last_ns - (0 if weighs else SMOOTH_NS)))
+        leg = course.plan[course.leg]
+        reach = _reach(drive, leg)
+        piece = course.store.imu.ahead(course.at, left) if drive.over else next_piece(course, left, reach)
         if piece is None:
             break
-        used, reason = 0, None
-        if len(piece.dt):
-            if weighs:
-                used = _weigh(drive, piece)
-            else:
-                if course.plan[course.leg].kind == RETURN:
-                    go_free(course, piece)
-                else:
-                    go(course, piece, velocities(course.config, path, piece))
-                used = len(piece.dt)
+        used = len(piece.dt)
+        if used:
+            used = _go(drive, leg, piece)
+            turn(drive.turned, piece.rows[:used], TAKE if leg.ahead else PUT)
+            passed = float(piece.dt[:used].sum())
+            drive.lag -= passed if leg.ahead else -passed
             left -= used
             moved = True
-        present = course.plan[course.leg].until == PRESENT
-        over = course.at >= imu.number(path.last_ns) if present else is_over(course)
-        if reason is None and over:
-            reason = _conclude(drive)
-        if reason is not None:
+        over = course.at >= reach if leg.until == PRESENT else is_over(course)
+        if over and not drive.over and (reason := _conclude(drive)) is not None:
             return reason
-        if not (used or over):
+        if not (used or over) or (drive.over and not used):
             break
     if moved:
+        drive.at = attitude(course)
         course.status = _status(drive)
     return None
 
 
-def _coast(drive: Drive, most: int) -> str | None:
-    """From where the odometer leaves it to the present."""
-    course, weights = drive.course, drive.weights
-    assert weights is not None
-    piece = course.store.imu.ahead(course.at, most)
-    weights.go(piece.rows, piece.dt)
-    course.at += len(piece.dt)
-    course.status = _status(drive)
-    return None
+def _reach(drive: Drive, leg: Leg) -> int:
+    """Number of the first sample ahead that a leg must wait for: what wheels do around it is not known."""
+    imu, path = drive.course.store.imu, drive.path
+    if drive.over:
+        return imu.count
+    return imu.number(path.last_ns - (0 if leg.kind == WEIGH else SMOOTH_NS)) if path.count else 0
+
+
+def _go(drive: Drive, leg: Leg, piece: Piece) -> int:
+    """Through a piece or a part of it; how many samples that was."""
+    course = drive.course
+    if drive.over:
+        # beyond what the odometer has confirmed there is nothing to weigh
+        assert drive.weights is not None
+        drive.weights.go(piece.rows, piece.dt)
+        course.at += len(piece.dt)
+    elif leg.kind in (BLIND, WEIGH):
+        return _weigh(drive, piece)
+    elif leg.kind == RETURN:
+        go_free(course, piece)
+    else:
+        go(course, piece, velocities(course.config, drive.path, piece))
+    return len(piece.dt)
 
 
 def _conclude(drive: Drive) -> str | None:
@@ -280,9 +257,8 @@ def _conclude(drive: Drive) -> str | None:
                 f"levelled axes felt {felt / earth.north:.2f} of Earth's north rate: "
                 "calibration or latitude are wrong"
             )
-        tilts = np.diag(drive.weights.P[TILT, TILT])
-        drive.coarse = np.diag(tilts + np.array([LOOSE**2, LOOSE**2, sigma**2]))
         turn_about_up(course, angle)
+        open_book(course, drive.weights.P[VEL, VEL], drive.weights.P[TILT, TILT], sigma)
         drive.weights = None
     end_leg(course)
     kind = course.plan[course.leg].kind
@@ -298,10 +274,11 @@ def _judge(drive: Drive) -> str | None:
     """Whether the last pass may be believed; one more where it had to put right what is not small."""
     course, weights = drive.course, drive.weights
     assert weights is not None
-    again = any(leg.kind == RETURN for leg in course.plan)
-    if not again and (abs(weights.turned) > ASTRAY or weights.reason is not None):
-        # slip led the loops astray: from what came out of it back to the start, and once more
-        course.plan = (*course.plan, Leg(RETURN, False, 0.0, ()), course.plan[-1])
+    returns = sum(leg.kind == RETURN for leg in course.plan)
+    doubtful = returns == 0 and weights.reason is not None
+    if returns < MOST and (abs(weights.turned) > SMALL or doubtful):
+        # slip led it astray, or much was to be put right: from what came out of it back, and once more
+        course.plan = (*course.plan, Leg(RETURN, False, 0.0, ()), Leg(WEIGH, True, PRESENT, ()))
         course.leg += 1
         course.seconds = 0.0
         drive.over = False
@@ -329,20 +306,27 @@ def _begin_weighing(drive: Drive) -> None:
         lat, lon, height = xyz_to_geodetic(*r_e)
     course.origin = lat, lon, height
     course.x = head(quat_from_dcm(C), v_g, lat, lon, height)
-    drive.weights = Weights(config, course.x, float(way[0]))
+    # the loops have seen the same data: what they found counts for little
+    drive.weights = Weights(config, course.x, float(way[0]), heading=2.0 * course.found)
 
 
 def _weigh(drive: Drive, piece: Piece) -> int:
-    """Go to the end of the block or of the piece; how many samples that took."""
-    course, weights = drive.course, drive.weights
+    """Go to the end of the block, where the odometer said something, or of the piece; how many samples."""
+    course, path, weights = drive.course, drive.path, drive.weights
     assert weights is not None
-    seconds = weights.seconds + np.cumsum(piece.dt)
-    used = min(len(seconds), int(np.searchsorted(seconds, BLOCK_S - 1e-6)) + 1)
+    rest = weights.length - weights.seconds - float(piece.dt[0])
+    said = path.ahead(path.number(int(piece.t_ns[0]) + round(rest * 1e9) - 1), 1).t_ns
+    used = len(piece.t_ns)
+    closes = False
+    if len(said):
+        end_ns = int(said[0]) - round(0.5e9 * float(piece.dt[0]))
+        closes = bool(piece.t_ns[-1] >= end_ns)
+        used = min(used, int(np.searchsorted(piece.t_ns, end_ns)) + 1)
     weights.go(piece.rows[:used], piece.dt[:used])
     course.at += used
     course.seconds += float(piece.dt[:used].sum())
-    if weights.seconds >= BLOCK_S - 1e-6:
-        weights.close(float(way_at(drive.path, piece.t_ns[used - 1 : used])[0]))
+    if closes:
+        weights.close(float(way_at(path, piece.t_ns[used - 1 : used])[0]))
     return used
 
 
@@ -350,19 +334,18 @@ def _status(drive: Drive, reason: str | None = None) -> AlignStatus:
     course, weights = drive.course, drive.weights
     config = course.config
     lat, height = (course.origin[0], course.origin[2]) if course.origin is not None else (0.8, 0.0)
-    last = course.leg == len(course.plan) - 1
-    covariance = phi_covariance(course) if drive.coarse is None else drive.coarse
-    if weights is not None and last:
+    covariance = phi_covariance(course)
+    if weights is not None and course.leg == len(course.plan) - 1:
         covariance = weights.P[TILT, TILT]
-    waiting = course.store.imu.number(drive.path.last_ns) if drive.path.count else 0
+    leg = course.plan[min(course.leg, len(course.plan) - 1)]
     return AlignStatus(
-        estimate=attitude(course) if len(course.x) else None,
+        estimate=_present(drive) if course.found < math.pi else None,
         covariance=covariance,
         limit=limits(config, lat, height, config.coarse_s + config.fine_s),
         progress=progress(course),
         done=drive.over and course.at == course.store.imu.count and reason is None,
         refusal=reason,
-        behind=bool(len(course.x)) and waiting - course.at >= config.replay_samples,
+        behind=bool(len(course.x)) and (not leg.ahead or drive.lag > BEHIND_S),
     )
 
 

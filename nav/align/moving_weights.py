@@ -24,9 +24,10 @@ from typing import Final
 import numpy as np
 
 from nav.align.compass_loop import SAMPLES
+from nav.align.disturbance import spread
 from nav.align.types import AlignConfig
 from nav.jit import kernel
-from nav.rotation import quat_from_rotvec, quat_multiply, skew
+from nav.rotation import quat_from_rotvec, quat_multiply, quat_rotate, skew
 from nav.strapdown.control import U_SIZE, U_WC
 from nav.strapdown.kernels import (
     M_C,
@@ -53,14 +54,20 @@ RATE: Final = slice(19, 21)
 SIZE: Final = 21
 
 BLOCK_S: Final = 1.0
+WIDE_S: Final = (
+    0.8  # by which blocks differ: at a steady speed ticks would else repeat themselves block by block
+)
 ROLL: Final = 0.003  # m per root of a metre: what the way gains or loses on a road
-SIDEWAYS: Final = 0.01  # s: velocity across the vehicle per level acceleration, by slip and suspension
-CRAB: Final = 0.005  # rad between the vehicle's axis and its path: camber, side wind, steering
+# What moves a vehicle across: ``slip`` on a straight road, and by its speed and its level acceleration more.
+SIDEWAYS: Final = 0.5  # per m/s^2: of suspension and tyres, in units of it
+CRAB: Final = 0.25  # per m/s, likewise: camber, side wind, steering
 CRAB_WAY: Final = 12.5  # m over which that stays
 SIGMAS: Final = 6.0
 DOUBT: Final = 4.0
 OFTEN: Final = 0.1  # of the blocks: more than wheels slip
 SLIPS: Final = 3  # in a row are too many
+LEAN: Final = 1.0  # sigma of every innovation that is taken for chance
+LEANING: Final = 20.0  # sigma in all beyond that: chance does not come to 6
 UNSURE: Final = 1e-7  # rad/s: Earth's rate about north where latitude is off by a tenth of a degree
 FIRST: Final = (0.3, math.radians(0.5), math.radians(3.0))  # m/s, level, heading: far wider than the loops
 
@@ -145,10 +152,13 @@ class Weights:
     """The filter and the state ``x`` of the kernel that it corrects.
 
     ``x`` is the state at the start of the pass, ``way`` m what the odometer's path says there. ``blind``
-    rad/s is Earth's north rate where the azimuth of n is not known, else zero.
+    rad/s is Earth's north rate where the azimuth of n is not known, else zero. ``heading`` rad: as
+    far at least as it may be off at first.
     """
 
-    def __init__(self, config: AlignConfig, x: Vector, way: float, blind: float = 0.0) -> None:
+    def __init__(
+        self, config: AlignConfig, x: Vector, way: float, blind: float = 0.0, heading: float = 0.0
+    ) -> None:
         self.config = config
         self.x = x
         self.bias = np.zeros(6)
@@ -161,7 +171,9 @@ class Weights:
         self.rate = np.zeros(2)
         self.turned = 0.0  # rad, by how much heading was corrected
         self.slips = 0  # innovations refused in a row
+        self.lean = np.zeros(2)  # to either side
         self.blocks = 0
+        self.length = BLOCK_S  # of the open block, s
         self.slipped = 0  # times that the way was begun anew
         self.reason: str | None = None  # what was wrong with the way or the sensors
         C_vb = config.C_vb
@@ -169,7 +181,7 @@ class Weights:
         self.C_vb = np.ascontiguousarray(C_vb)
         sigma = np.zeros(SIZE)
         sigma[VEL] = FIRST[0]
-        sigma[TILT] = FIRST[1], FIRST[1], FIRST[2]
+        sigma[TILT] = FIRST[1], FIRST[1], max(FIRST[2], heading)
         if blind:
             # the azimuth of n is what it is
             sigma[TILT.stop - 1] = 0.0
@@ -226,6 +238,7 @@ class Weights:
         self.way += float(sums[_S_WAY + 1])
         if path is not None:
             self.blocks += 1
+            self.length = spread(self.blocks, BLOCK_S, WIDE_S)
             self._update(sums, tau, np.eye(SIZE) - 0.5 * F, J / tau, M / tau, path - self.start)
 
     def _update(self, sums: Vector, tau: float, back: Vector, J: Vector, M: Vector, path: float) -> None:
@@ -245,7 +258,7 @@ class Weights:
         )
         level = math.hypot(sums[_S_F], sums[_S_F + 1]) / tau
         crab = CRAB * math.sqrt(abs(speed) * max(abs(speed), CRAB_WAY / BLOCK_S))
-        across = math.hypot(config.slip, SIDEWAYS * level, crab)
+        across = config.slip * math.hypot(1.0, SIDEWAYS * level, crab) * math.sqrt(BLOCK_S / tau)
         noise = np.array([self.quantum**2, across**2, across**2])
         error = np.zeros(SIZE)
         refused = False
@@ -261,23 +274,36 @@ class Weights:
                     continue
                 # believed so far that it is at the edge: a filter that refuses all is lost
                 S = innovation * innovation / SIGMAS**2
+            if k == 0:
+                self._lean(innovation / math.sqrt(S), speed)
             gain = Ph / S
             error += gain * innovation
             self.P -= np.outer(gain, Ph)
         if not refused:
             self.slips = 0
+        else:
+            self.lean[:] = 0.0
         self.P = 0.5 * (self.P + self.P.T)
         self._feed(error)
+
+    def _lean(self, normed: float, speed: float) -> None:
+        """Innovations of the way may each be chance, but not all to one side: a cumulative sum."""
+        self.lean = np.maximum(0.0, self.lean + np.array([normed, -normed]) - LEAN)
+        if self.reason is None and np.max(self.lean) > LEANING:
+            self.reason = (
+                "the wheels slip: for a while their way was a little off what the inertial sensors saw, "
+                f"at {speed:.1f} m/s"
+            )
 
     def _refuse(self, k: int, innovation: float, sigma: float, speed: float, path: float) -> None:
         """An innovation that cannot be: begin the way anew behind a slip; too many in a row are a reason."""
         self.slips += 1
         if k == 0:
-            # the way by the odometer goes on from here
+            # the way by the odometer goes on from here, or from the next block: the wheels may slip on
             self.way = path * (1.0 + self.scale)
             self.P[WAY, :] = 0.0
             self.P[:, WAY] = 0.0
-            self.P[WAY, WAY] = (0.5 * BLOCK_S) ** 2
+            self.P[WAY, WAY] = ((0.5 + abs(speed)) * BLOCK_S) ** 2
             self.slipped += 1
         if self.slips < SLIPS:
             return
@@ -295,27 +321,36 @@ class Weights:
 
     def doubt(self) -> str | None:
         """What speaks against the result, or None: the way, the sensors, Earth's rate as it was felt."""
-        if self.reason is not None:
-            if self.slipped > OFTEN * self.blocks:
-                return (
-                    f"odometer and inertial sensors disagree in {self.slipped} of {self.blocks} seconds: "
-                    "latitude, mounting or calibration are wrong"
-                )
-            return self.reason
         k = RATE.stop - 1
         sigma = math.hypot(math.sqrt(self.P[k, k]), UNSURE)
-        if abs(self.rate[1]) < DOUBT * sigma:
-            return None
-        return (
-            f"Earth's rate about north is felt {math.degrees(self.rate[1]) * 3600:+.3f} deg/h off what it is "
-            "at this latitude: latitude or calibration are wrong"
-        )
+        felt = None
+        if abs(self.rate[1]) > DOUBT * sigma:
+            off = math.degrees(self.rate[1]) * 3600.0
+            felt = (
+                f"Earth's rate about north is felt {off:+.3f} deg/h off what it is at this latitude: "
+                "latitude or calibration are wrong"
+            )
+        if self.reason is None:
+            return felt
+        if self.slipped > OFTEN * self.blocks:
+            return (
+                f"odometer and inertial sensors disagree in {self.slipped} of {self.blocks} seconds: "
+                "latitude, mounting or calibration are wrong"
+            )
+        return self.reason if felt is None else f"{self.reason}; or {felt}"
 
     def _feed(self, error: Vector) -> None:
         x = self.x
         self.shift += error[POS]
-        x[X_V : X_V + 3] += error[VEL]
-        x[X_Q : X_Q + 4] = quat_multiply(quat_from_rotvec(error[TILT]), x[X_Q : X_Q + 4])
+        # velocity turns with the attitude, exactly: what wheels say of it in b must not depend on heading, or
+        # a few degrees that are put right at once make a velocity that is not there
+        phi, v = error[TILT], x[X_V : X_V + 3].copy()
+        turn = quat_from_rotvec(phi)
+        x[X_V : X_V + 3] = quat_rotate(turn, v + error[VEL] - np.cross(phi, v))
+        x[X_Q : X_Q + 4] = quat_multiply(turn, x[X_Q : X_Q + 4])
+        T = np.eye(SIZE)
+        T[VEL, TILT] = -skew(x[X_V : X_V + 3] - v)
+        self.P = T @ self.P @ T.T
         self.bias += error[EPS.start : NAB.stop]
         self.scale += float(error[SCALE])
         self.mounting += error[[PITCH, YAWED]]

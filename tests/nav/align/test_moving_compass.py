@@ -195,7 +195,7 @@ def inertial(begin_s, what):
     return change
 
 
-@pytest.mark.parametrize("change", [rolling(150.0, 152.0, 1.3), rolling(150.0, 160.0, 1.3)])
+@pytest.mark.parametrize("change", [rolling(150.0, 160.0, 1.3), rolling(150.0, 156.0, 0.0)])
 def test_wheels_that_slip_once_do_not_spoil_it(change):
     init, _, refusals = align([change(s) for s in measured("winding", 1)[2]], placed("winding"))
     assert not refusals
@@ -206,7 +206,7 @@ def test_wheels_that_slip_once_do_not_spoil_it(change):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (rolling(150.0, 156.0, 0.0), "the wheels slip"),
+        (rolling(130.0, 160.0, 1.02), "the wheels slip"),
         (inertial(100.0, lambda s: s._replace(dv=s.dv * [0.0, 1.0, 1.0])), "accelerometer is stuck"),
         (inertial(0.0, lambda s: s._replace(dv=s.dv * [1.0, 0.0, 1.0])), "accelerometer is stuck"),
         (inertial(100.0, lambda s: s._replace(flags=int(ImuFlag.GAP))), "missing"),
