@@ -231,7 +231,7 @@ def is_over(course: Course) -> bool:
     if not leg.ahead:
         return course.at == 0
     end, more = bound(course, leg)
-    return not more and course.at == end
+    return not more and course.at >= end
 
 
 def go(course: Course, piece: Piece, velocity: Vector) -> None:

@@ -166,6 +166,16 @@ def test_no_step_is_longer_than_another_at_1_khz(name, replay, monkeypatch, reco
     assert turned <= 2 * sum(not leg.ahead for leg in run.state.plan)
 
 
+def test_an_opening_that_is_hardly_longer_than_the_first_second_ends():
+    config = dataclasses.replace(QUICK, coarse_s=2.5, fine_s=7.5)
+    C_gb, given = ideal((1.0, 0.1, -0.2), 20.0, 0.01)
+    for name in NAMES:
+        ran = align(name, given, config)
+        assert not ran.refusals
+        # what half a second of levelling leaves of the vertical of the first one, and tan L times it
+        assert np.max(np.abs(misalignment(C_gb, ran.init))) < 1e-3
+
+
 def test_any_attitude_and_any_heading_will_do():
     perfect = dataclasses.replace(QUICK, coarse_s=30.0, fine_s=60.0, gyro_bias=1e-9, accel_bias=1e-6)
     for heading, pitch, roll in [(0.3, 0.1, -0.2), (3.0, -1.2, 2.5), (5.5, 0.0, math.pi / 2)]:
