@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -347,8 +348,13 @@ def lines_of(found: Sequence[Found], bound_deg: float) -> list[str]:
     for one in found:
         if one.lacks:
             lines.append(f"{one.method}: not run, it needs {one.lacks}")
+        kinds: dict[str, list[tuple[float, str]]] = {}
         for t_s, why in one.refusals:
-            lines.append(f"{one.method}: refused after {t_s:.1f} s: {why}")
+            kinds.setdefault(re.sub(r"[\d.]+", "", why), []).append((t_s, why))
+        for again in kinds.values():
+            t_s, why = again[0]
+            more = f" (and {len(again) - 1} times more, till {again[-1][0]:.1f} s)" if len(again) > 1 else ""
+            lines.append(f"{one.method}: refused after {t_s:.1f} s: {why}{more}")
     return lines
 
 

@@ -24,7 +24,7 @@ class End(NamedTuple):
 
 
 def end_of(name: str, scene: Scene, most: int = 1000) -> End:
-    """Feed a scene to an alignment till it answers or has refused ``most`` times; it begins anew by itself."""
+    """Feed a scene to an alignment till it answers or refused ``most`` times; it begins anew by itself."""
     run, refusals = begin(ALIGNMENTS[name], scene.config), []
     for sample in scene.samples:
         run, status = advance(run, sample)

@@ -1,0 +1,51 @@
+"""No start ends silently wrong: a table of faults, from tiny to gross, against alignments.
+
+Either the answer's normalised error of three angles is below the 99.9 % bound of chi-square, or a refusal
+names the cause; after a refusal both hold for what comes next. The middle sizes are the dangerous ones: large
+ones are seen, tiny ones do not matter. Every pair is tried with a part of the sizes, in turns so that its
+neighbours have the others; ``python -m tests.align_robust.sweep`` tries all of them with more seeds.
+"""
+
+import pytest
+
+from tests.align_robust.cases import SCENES, TRIED, WORDS, Case, cases
+from tests.align_robust.judge import BOUND, end_of, is_right
+
+SEEDS = range(3)
+PART = 4  # of the sizes one in so many
+MOST = 3  # refusals, after which a fault that stays is taken to be refused for ever
+CASES = cases()
+OPEN = {
+    ("odometer", "latitude"): "0.1 to 0.3 deg off are taken for tilt: level off by 6 to 13 of its sigmas",
+    (
+        "moving_gyrocompass",
+        "slip_20s",
+    ): "wheels off by 1 to 3 % for 20 s are not seen: up to 0.6 deg of heading",
+}
+"""What still ends silently wrong, and how wrong: not hidden, to be mended."""
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("scene", TRIED)
+def test_nothing_is_wrong_where_nothing_goes_wrong(scene, seed):
+    for method in TRIED[scene][0]:
+        end = end_of(method, SCENES[scene](seed))
+        assert end.refusals == (), method
+        assert end.chi2 is not None, method
+        assert end.chi2 < BOUND, method
+
+
+def _tried(case: Case):
+    why = OPEN.get((case.method, case.fault))
+    # whether it shows hangs on the size and the seed that are drawn
+    marks = [] if why is None else [pytest.mark.xfail(strict=False, reason=why)]
+    return pytest.param(case, id="-".join(case), marks=marks)
+
+
+@pytest.mark.parametrize("case", map(_tried, CASES))
+def test_a_fault_is_harmless_or_named(case):
+    turn = CASES.index(case)
+    for k, (size, scene) in enumerate(case.scenes(SEEDS[turn % len(SEEDS)])):
+        if (k + turn) % PART == 0:
+            end = end_of(case.method, scene, MOST)
+            assert is_right(end, WORDS[case.fault]), (size, end)
