@@ -20,7 +20,7 @@ OPEN = {
     (
         "moving_gyrocompass",
         "slip_20s",
-    ): "wheels off by 1 to 3 % for 20 s are not seen: up to 0.6 deg of heading",
+    ): "wheels off by 1 to 3 % for 20 s are not seen: 0.6 deg of heading",
 }
 """What still ends silently wrong, and how wrong: not hidden, to be mended."""
 
@@ -42,7 +42,7 @@ def _tried(case: Case):
     return pytest.param(case, id="-".join(case), marks=marks)
 
 
-@pytest.mark.parametrize("case", map(_tried, CASES))
+@pytest.mark.parametrize("case", [_tried(case) for case in CASES])
 def test_a_fault_is_harmless_or_named(case):
     turn = CASES.index(case)
     for k, (size, scene) in enumerate(case.scenes(SEEDS[turn % len(SEEDS)])):
