@@ -11,13 +11,12 @@ import cantools.database
 import numpy as np
 import pytest
 
-from bridge.drivers.dbc_map import DbcMap, DbcMapOptions
+from bridge.drivers.dbc_map import DbcMap
 from bridge.frame import RawFrame
 from bridge.importers.candump import parse_line
-from bridge.strict import convert, parse
 from nav.types import GnssFix, ImuFlag, ImuSample
-from tests.drivers.made import context, rejects
-from tests.drivers.vendor import DEG
+from tests.drivers.made import rejects
+from tests.drivers.vendor import DEG, mapped
 from tests.recordings import DATA, needs_recording
 
 LOG = DATA / "can_gnss_imu_log"
@@ -54,17 +53,7 @@ utc = "Epoch"
 @pytest.fixture(scope="module")
 def log() -> tuple[DbcMap, DbcMap, list[ImuSample], list[GnssFix], list[RawFrame]]:
     dbc = (LOG / "canmod-gps.dbc").read_bytes()
-
-    def driver(text: str) -> DbcMap:
-        table = {
-            "driver": "dbc_map",
-            "source": "can2",
-            "dbc": "canmod-gps.dbc",
-            **parse(text.encode(), "t.toml"),
-        }
-        return DbcMap(convert(table, DbcMapOptions, "t.toml"), context(files={"canmod-gps.dbc": dbc}))
-
-    imu, gnss = driver(REAL_IMU), driver(REAL_GNSS)
+    imu, gnss = (mapped("canmod-gps.dbc", dbc, text) for text in (REAL_IMU, REAL_GNSS))
     takers = {key: taker for taker in (imu, gnss) for _, key in taker.keys}
     samples: list[ImuSample] = []
     fixes: list[GnssFix] = []

@@ -108,16 +108,16 @@ window_ms = 30
 """
 
 
-def made(text: str, **more: Any) -> DbcMap:
-    table = {
-        "driver": "dbc_map",
-        "source": "can0",
-        "dbc": "vendor.dbc",
-        **more,
-        **parse(text.encode(), "test.toml"),
-    }
+def mapped(dbc: str, file: bytes, text: str, **more: Any) -> DbcMap:
+    """A driver for the DBC ``file`` of that name, mapped by ``text``."""
+    table = {"driver": "dbc_map", "source": "can0", "dbc": dbc, **more, **parse(text.encode(), "test.toml")}
     options = convert(table, DbcMapOptions, "test.toml", "device.dev")
-    return DbcMap(options, context(files={"vendor.dbc": VENDOR.encode("cp1252")}))
+    return DbcMap(options, context(files={dbc: file}))
+
+
+def made(text: str, **more: Any) -> DbcMap:
+    """A driver for the made-up vendor's file."""
+    return mapped("vendor.dbc", VENDOR.encode("cp1252"), text, **more)
 
 
 def frame(message: str, rx_ns: int, **values: float) -> RawFrame:
