@@ -301,6 +301,8 @@ def turn_to_north(course: Course) -> str | None:
     """
     earth = course.earth
     assert earth is not None
+    if course.seconds == 0.0:
+        return f"{course.config.coarse_s:g} s of coarse alignment are too short to tell north"
     grown = course.free[X_V : X_V + 2] - course.x[X_V : X_V + 2]
     unit = 0.5 * earth.gravity * earth.north * course.seconds**2
     cosine, sine = 1.0 + grown[0] / unit, -grown[1] / unit
