@@ -14,6 +14,7 @@ from bridge.studies.alignment_table import Found
 
 _LEAST: Final = 1e-4  # deg
 _MOST: Final = 200.0
+_LINES: Final = 20  # refusals that are drawn over the whole height
 
 
 def draw(found: Sequence[Found], path: Path, title: str, bound_deg: float) -> Path:
@@ -39,8 +40,10 @@ def draw(found: Sequence[Found], path: Path, title: str, bound_deg: float) -> Pa
             apart = trace.attitude[:, 2] - trace.attitude[known][-1, 2]
             apart = np.abs((apart + 180.0) % 360.0 - 180.0)
             line(axes, trace.t_s, _shown(apart), BLUE, "heading less its end")
+        # so many that they would fill the panel become a rug along its top
+        low = 0.0 if len(one.refusals) <= _LINES else 0.94
         for k, (t_s, _) in enumerate(one.refusals):
-            axes.axvline(t_s, color=RED, linewidth=0.9, label="refused" if k == 0 else None)
+            axes.axvline(t_s, low, color=RED, linewidth=0.9, label="refused" if k == 0 else None)
         if one.ended_s is not None:
             axes.axvline(one.ended_s, color=GREY, linewidth=0.9, label="handed over")
         axes.set_ylabel(f"{one.method}, deg")
