@@ -116,7 +116,8 @@ def test_a_refusal_is_told(capture: Path, capsys: pytest.CaptureFixture[str], tm
             (tmp_path / name).write_bytes(content)
     assert main(["align", str(capture), "--config", str(wrong), "--method", "static"]) == 1
     out = capsys.readouterr().out
-    assert "static: refused after 10.0 s: the vertical rate is" in out
+    (refused,) = (line for line in out.splitlines() if line.startswith("static: refused after 10.0 s:"))
+    assert "latitude" in refused
 
 
 def test_later_and_no_navigator_and_no_alignment(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
