@@ -123,18 +123,21 @@ def mean_velocity(x: Vector, par: Vector, tau: float) -> Vector:
 def vehicle_row(x: Vector, par: Vector, axis: int, u: Vector, age: float, H: Matrix, row: int) -> None:
     """Row of H for the odometer point's velocity along one axis of v, ``age`` seconds ago.
 
-    ``u`` (3,) is that velocity in v. ``du = C_vn (dv + phi x v) + C_vb (l x db) + u x mu``.
+    ``u`` (3,) is that velocity in v. ``du = C_vn (dv + phi x v) + C_vb (l x db) + u x mu`` with dv and v of
+    then. Written with those of now, what the vehicle accelerated by drops out, and gravity's part is left: a
+    wrong azimuth turns velocity and acceleration alike.
     """
     Cv = matrix(x[X_QV : X_QV + 4])
     Cb = matrix(x[X_Q : X_Q + 4])
     vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
     fx, fy, fz = rotate(x[0], x[1], x[2], x[3], x[X_F], x[X_F + 1], x[X_F + 2])
+    fx, fy, fz = fx - x[X_A], fy - x[X_A + 1], fz - x[X_A + 2]
     lx, ly, lz = par[P_LO], par[P_LO + 1], par[P_LO + 2]
     c0 = Cv[axis, 0] * Cb[0, 0] + Cv[axis, 1] * Cb[0, 1] + Cv[axis, 2] * Cb[0, 2]
     c1 = Cv[axis, 0] * Cb[1, 0] + Cv[axis, 1] * Cb[1, 1] + Cv[axis, 2] * Cb[1, 2]
     c2 = Cv[axis, 0] * Cb[2, 0] + Cv[axis, 1] * Cb[2, 1] + Cv[axis, 2] * Cb[2, 2]
     H[row, 3], H[row, 4], H[row, 5] = c0, c1, c2
-    # dv was smaller by (f x phi - C dba) age; and c . (phi x v) = phi . (v x c)
+    # dv was smaller by (f x phi - C dba) age, phi x v by (phi x a) age; and c . (phi x v) = phi . (v x c)
     H[row, 6] = vy * c2 - vz * c1 - age * (c1 * fz - c2 * fy)
     H[row, 7] = vz * c0 - vx * c2 - age * (c2 * fx - c0 * fz)
     H[row, 8] = vx * c1 - vy * c0 - age * (c0 * fy - c1 * fx)

@@ -208,3 +208,33 @@ def test_noise_within_an_interval_reaches_its_mean_by_a_third():
     P = np.eye(st.BASIC) * 1e-18
     P[st.VELOCITY, st.VELOCITY] = q * T * np.eye(3)
     np.testing.assert_allclose(crossing(0.0, p, P, 0.0), q * T / 3.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("jerk", [0.0, 3.0])
+def test_a_start_tells_wheels_nothing_of_the_heading(jerk):
+    """Of an IMU with a wrong azimuth the wheels see what they expect: it turned all of the velocity, too."""
+    heading, off, force = 0.7, 0.1, 2.0
+    x = nominal()
+    x[X_Q : X_Q + 4] = rot.quat_from_rotvec([0.0, 0.0, heading])
+    x[st.X_QV : st.X_QV + 4] = [1.0, 0.0, 0.0, 0.0]
+    x[st.X_W : st.X_W + 3] = 0.0
+    ahead = rot.dcm_from_quat(x[X_Q : X_Q + 4])[:, 1]
+    acceleration = force + jerk * T
+    x[X_V : X_V + 3] = ahead * (force * T + 0.5 * jerk * T**2)
+    x[st.X_A : st.X_A + 3] = ahead * acceleration
+    x[st.X_F : st.X_F + 3] = [0.0, acceleration, 9.8]
+    x[st.X_PT] = T
+    x[st.X_PATH : st.X_PATH + 3] = [0.0, 0.5 * force * T**2 + jerk * T**3 / 6.0, 0.0]
+    P = np.eye(st.BASIC) * 1e-18
+    turned = off * np.cross([0.0, 0.0, 1.0], x[X_V : X_V + 3])
+    P[3:6, 3:6] += np.outer(turned, turned)
+    P[3:6, 8] = P[8, 3:6] = -off * turned
+    P[8, 8] = off**2
+    out = np.zeros(12)
+    MEASUREMENTS["non_holonomic"].kernel(
+        x.copy(), P, np.zeros(st.P_SIZE), np.array([0.0, T, 1e-4, 0.0]), np.inf, out
+    )
+    # what a linear model of a turned velocity leaves out is allowed for, and nothing else
+    speed = np.linalg.norm(x[st.X_PATH : st.X_PATH + 3]) / T
+    expected = np.hypot(1e-4, 0.5 * speed * off**2)
+    np.testing.assert_allclose(out[6:8], expected, rtol=1e-3)
