@@ -59,6 +59,7 @@ PLACE: Final = 5.0  # m: what rolled before the first whole interval of the odom
 FLOOR: Final = 0.002  # m, of an epoch
 SLIPPED: Final = 0.3  # m
 SLIP_S: Final = 1.0  # seconds that a slip across the vehicle lasts
+SLOW: Final = 8.0  # ticks of an epoch: fewer do not average out
 LOST_S: Final = 0.5  # s without odometer samples
 UNMOUNTED: Final = 0.1  # rad, of a mounting that is not given
 _EYE: Final = np.eye(3)
@@ -84,6 +85,8 @@ class Ride(NamedTuple):
     over_next: Vector = _ZERO
     moved: Vector = _ZERO  # rad, east-north-up has turned since by moving over the Earth
     pair: Pair | None = None  # the open epochs
+    rolled: float = 0.0  # m since the beginning, to and fro
+    marks: tuple[float, ...] = ()  # that, when the last epochs were closed
     solved: Solved | None = None
     status: AlignStatus | None = None
     now: Place = (0.0, 0.0, 0.0)  # place at the last epoch
@@ -179,7 +182,7 @@ def _reckon(state: Ride, row: Vector, sample: OdoSample) -> Taken[Ride]:
     fall = old.fall + 0.5 * h * (old.drop + drop)
     new = Reckoning(row, sample.t_ns, ahead, right, up, imu, area, over, drop, fall)
     moved = transport(state.now, level.T @ (over - state.over))
-    state = state._replace(reckoning=new, moved=moved)
+    state = state._replace(reckoning=new, moved=moved, rolled=state.rolled + abs(sample.distance))
     open_, t = state.pair, float(row[A_T])
     if open_ is None:
         return state._replace(pair=pair(row, EPOCH_S, 15), over_next=over), None
@@ -187,8 +190,8 @@ def _reckon(state: Ride, row: Vector, sample: OdoSample) -> Taken[Ride]:
     if t < open_.newer.middle:
         return state, None
     open_, mean = close(open_, row)
-    before = state.over_next
-    state = state._replace(pair=open_, over_next=over)
+    before, marks = state.over_next, (*state.marks, state.rolled)[-4:]
+    state = state._replace(pair=open_, over_next=over, marks=marks)
     return (state, None) if mean is None else _epoch(state._replace(over=before), mean)
 
 
@@ -217,7 +220,7 @@ def _epoch(state: Ride, mean: Mean) -> Taken[Ride]:
     # smooth but for ticks and slip: scale and mounting are taken off
     bare = z - curved - wheel @ book.estimate.x[WHEEL]
     across = attitude(mean.row) @ state.axes[:, [0, 2]] * config.slip
-    walk = SLIP_S * across @ across.T
+    walk = SLIP_S * across @ across.T + _phase(state, mean.row)
     book, moved = take(book, config, mean.row, seconds, bare, H, z, walk, FLOOR, SLIPPED)
     state = state._replace(book=book)
     if moved > 0.0:
@@ -225,6 +228,22 @@ def _epoch(state: Ride, mean: Mean) -> Taken[Ride]:
     if not book.settled:
         return _waiting(state), None
     return _solve(state, False)
+
+
+def _phase(state: Ride, row: Vector) -> Vector:
+    """By how much ticks shift the epoch at ``row`` against the one before: (3, 3) m^2/s of the offset's walk.
+
+    A wheel that stands is anywhere between two ticks, and all epochs of the stand are off by the same. One
+    that rolls is off by half a tick in the mean. So a start and a stop change the offset, once.
+    """
+    assert state.book is not None
+    # an epoch lies between every other closing; the one before the first began with it
+    marks = (*[0.0] * (4 - len(state.marks)), *state.marks)
+    slow = min(marks[2] - marks[0], marks[3] - marks[1]) < SLOW * state.config.odometer_quantum
+    if not slow or marks[3] == marks[0]:
+        return np.zeros((3, 3))
+    tick = attitude(row) @ state.axes[:, 1] * state.config.odometer_quantum
+    return np.outer(tick, tick) / (12.0 * float(row[A_T] - state.book.row[A_T]))
 
 
 def _waiting(state: Ride) -> Ride:

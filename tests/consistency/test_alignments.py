@@ -25,7 +25,6 @@ EPOCHS = study.EPOCHS + 1  # and the hand-over
 BELOW = 1.0 - sum(binom.pmf(k, EPOCHS, 0.05) for k in range(2))
 OPEN = {
     "motion": "its first solution is too sure of its heading (NEES 10 of 3); from 35 s on sigmas are large",
-    "odometer": "begun at a stand: NEES up to 29 of 3, one road of eight refused; honest under way",
 }
 """What is not as it should be: not hidden, to be mended."""
 

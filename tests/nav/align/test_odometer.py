@@ -12,6 +12,7 @@ from bridge.studies.alignment_truth import (
     HEIGHT,
     LAT,
     LON,
+    TICK,
     G,
     drive,
     merged,
@@ -26,6 +27,7 @@ from nav.earth import EARTH_RATE, ecef, gravity_g, position_matrix, transport_ra
 from nav.rotation import dcm_from_quat, quat_from_rotvec
 from nav.types import ImuSample
 from tests.nav.align import making
+from virtual_bus.manoeuvres import Accelerate, Static
 
 DT, ODO = 0.05, 0.1
 BEGIN = 20.0  # s: the vehicle is on its way by then
@@ -156,6 +158,39 @@ def test_an_unknown_mounting_is_found_where_the_road_winds():
     phi = misalignment(dcm_from_quat(trajectory.state(init.t_ns).q_gb), init.q_gb)
     assert abs(phi[2]) < 3.0 * math.sqrt(init.P_phi[2, 2])
     assert math.degrees(math.sqrt(init.P_phi[2, 2])) < 0.03
+
+
+def test_a_stand_before_and_on_the_way_tells_no_more_than_ticks_can():
+    # wheels stand anywhere between two ticks: off by 24 mm, by the same in all epochs of a stand
+    runs, at_s = 8, (40, 60, 80, 110, 140, 179)
+    begin, going = road("winding", 200.0)[0:3], road("winding", 200.0)[3:]
+    halt = [Accelerate(duration_s=8.0, speed_m_s=0.0), Static(duration_s=20.0), *begin[1:]]
+    way = [Static(duration_s=25.0), *begin, *going[0:2], *halt, *going[2:]]
+    t_ns, odo_ns = times(1.0, 186.0, ODO), times(0.97, 186.0, ODO)
+    nees = np.zeros((runs, len(at_s)))
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        C_vb = dcm_from_quat(quat_from_rotvec(GRADE.sigma_mounting * rng.standard_normal(3)))
+        trajectory = drive(way, rng.uniform(0.0, 2.0 * math.pi), LAT, LON, HEIGHT, IMU, C_vb)
+        start = trajectory.state(int(t_ns[0]))
+        config = dataclasses.replace(
+            GRADE, fine_s=120.0, position=(start.lat, start.lon, start.height), odometer_quantum=TICK
+        )
+        inertial, _, _ = sensed(rng, config, *trajectory.increments(t_ns), ODO)
+        inertial = [s._replace(t_ns=s.t_ns + int(t_ns[0])) for s in inertial]
+        scale, phase = 1.0 + config.odometer_scale * rng.standard_normal(), rng.uniform()
+        whole = np.floor(trajectory.profile.distance(odo_ns) * scale / TICK + phase)
+        wheel = ticks(trajectory, odo_ns, scale)
+        wheel = [s._replace(distance=float(n) * TICK) for s, n in zip(wheel, np.diff(whole), strict=True)]
+        found = align(merged(inertial, wheel), config, at_s)
+        assert found.refusals == []
+        for k, (sample, status) in enumerate(found.seen):
+            phi = misalignment(dcm_from_quat(trajectory.state(sample.t_ns).q_gb), status.estimate)
+            nees[seed, k] = phi @ np.linalg.solve(status.covariance, phi)
+    # chi-square of 24 over 8: 99.9 % of means below 6.4
+    mean = nees.mean(axis=0)
+    assert np.all(mean < 6.4), mean
+    assert mean.mean() > 0.8
 
 
 # ---- refusals -----------------------------------------------------------------------------------
