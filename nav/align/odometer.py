@@ -87,6 +87,7 @@ class Ride(NamedTuple):
     pair: Pair | None = None  # the open epochs
     rolled: float = 0.0  # m since the beginning, to and fro
     marks: tuple[float, ...] = ()  # that, when the last epochs were closed
+    lately: tuple[tuple[Vector, Vector], ...] = ()  # of the last epochs, what is told and what the wheels add
     solved: Solved | None = None
     status: AlignStatus | None = None
     now: Place = (0.0, 0.0, 0.0)  # place at the last epoch
@@ -192,7 +193,7 @@ def _reckon(state: Ride, row: Vector, sample: OdoSample) -> Taken[Ride]:
     open_, mean = close(open_, row)
     before, marks = state.over_next, (*state.marks, state.rolled)[-4:]
     state = state._replace(pair=open_, over_next=over, marks=marks)
-    return (state, None) if mean is None else _epoch(state._replace(over=before), mean)
+    return (state, None) if mean is None else _epoch(state._replace(over=before), mean, sample.dt)
 
 
 def _frame(state: Ride, row: Vector) -> tuple[Vector, Vector]:
@@ -206,7 +207,7 @@ def _frame(state: Ride, row: Vector) -> tuple[Vector, Vector]:
     return C_b0i0 @ polar_axis(lat), C_b0i0 @ C_i0g(lat, lat, 0.0, float(row[A_T]))
 
 
-def _epoch(state: Ride, mean: Mean) -> Taken[Ride]:
+def _epoch(state: Ride, mean: Mean, interval: float) -> Taken[Ride]:
     """Mean displacement beyond what was rolled, against gravity's."""
     config, book, place = state.config, state.book, state.place
     assert book is not None
@@ -217,12 +218,20 @@ def _epoch(state: Ride, mean: Mean) -> Taken[Ride]:
     wheel = np.stack([mean.values[_DF], mean.values[_DR], mean.values[_DU]], axis=1)
     H[:, WHEEL] = wheel
     z = mean.values[0:3]
-    # smooth but for ticks and slip: scale and mounting are taken off
-    bare = z - curved - wheel @ book.estimate.x[WHEEL]
+    # smooth but for ticks and slip: scale and mounting are taken off, from all by what is known of them now
+    count = len(book.rough.z)
+    lately = (*state.lately[max(0, len(state.lately) - count) :], (z - curved, wheel))
+    *others, bare = (told - rolled @ book.estimate.x[WHEEL] for told, rolled in lately)
+    book = book._replace(rough=book.rough._replace(z=tuple(others)))
     across = attitude(mean.row) @ state.axes[:, [0, 2]] * config.slip
     walk = SLIP_S * across @ across.T + _phase(state, mean.row)
-    book, moved = take(book, config, mean.row, seconds, bare, H, z, walk, FLOOR, SLIPPED)
-    state = state._replace(book=book)
+    # at a steady speed ticks repeat, which looks smooth; a mean by squared sines of independent ones has
+    # twice this variance, and what epochs on winding roads show is the half
+    rolling = state.marks[-1] > state.marks[-2]
+    ticks = config.odometer_quantum * math.sqrt(interval / (16.0 * EPOCH_S)) if rolling else 0.0
+    floor = math.hypot(FLOOR, ticks)
+    book, moved = take(book, config, mean.row, seconds, bare, H, z, walk, floor, SLIPPED)
+    state = state._replace(book=book, lately=lately)
     if moved > 0.0:
         return state, f"wheel slip: the odometer is {moved:.2f} m off what the accelerometers say"
     if not book.settled:
