@@ -323,7 +323,10 @@ def test_output_point_and_vehicle_axes():
     r = np.array(earth.geodetic_to_xyz(*s.state[:3]))
     np.testing.assert_allclose(r, earth.geodetic_to_xyz(there.lat, there.lon, there.height), atol=1e-4)
     np.testing.assert_allclose(s.v_g, there.v_g, atol=2e-3)
-    assert s.heading == pytest.approx(float(rot.euler_from_dcm(drive.geodetic(t)[4] @ C_vb.T)[0]), abs=1e-8)
+    # north is that of the point's own meridian
+    lat, lon, _, _, C_gb = drive.geodetic(t)
+    turned = earth.position_matrix(there.lat, there.lon).T @ earth.position_matrix(lat, lon)
+    assert s.heading == pytest.approx(float(rot.euler_from_dcm(turned @ C_gb @ C_vb.T)[0]), abs=1e-8)
     middle = np.array(t - DT)
     np.testing.assert_allclose(s.state[S.W], C_vb @ drive.rate_ib(middle), atol=1e-4)
     np.testing.assert_allclose(s.state[S.F], C_vb @ drive.force(middle), atol=1e-3)
