@@ -30,7 +30,7 @@ OPEN = {
 
 
 def _tried(method: str):
-    marks = [pytest.mark.xfail(strict=False, reason=OPEN[method])] if method in OPEN else []
+    marks = [pytest.mark.xfail(reason=OPEN[method])] if method in OPEN else []
     return pytest.param(method, marks=marks)
 
 
