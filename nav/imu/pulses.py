@@ -40,7 +40,8 @@ class Calibration:
     ``accel_bias`` (3,) m/s^2; ``gyro_g`` (3, 3) rad/s per m/s^2, row: gyro, column: axis of f in b;
     ``gyro_axes``, ``accel_axes`` (3, 3): row i is what sensor i sees of a unit input along each axis of b,
     so the diagonal is 1 and the rest the misalignment in radians where the sensors are nearly along b (any
-    non-singular arrangement is allowed).
+    non-singular arrangement is allowed). ``accel_arms`` (3, 3) m: row i is where accelerometer i sits, from
+    the origin of b; what that costs is taken off in `nav.imu.size_effect`.
 
     Raises ValueError for a wrong shape, a value that is not finite, a zero scale or dependent axes.
     """
@@ -54,6 +55,7 @@ class Calibration:
     gyro_g: Vector = field(default_factory=lambda: np.zeros((3, 3)))
     gyro_axes: Vector = field(default_factory=_eye)
     accel_axes: Vector = field(default_factory=_eye)
+    accel_arms: Vector = field(default_factory=lambda: np.zeros((3, 3)))
 
     def __post_init__(self) -> None:
         if self.gyro_scale_minus is None:
@@ -61,7 +63,7 @@ class Calibration:
         if self.accel_scale_minus is None:
             object.__setattr__(self, "accel_scale_minus", self.accel_scale_plus)
         for name in self.__slots__:
-            shape = (3, 3) if name in ("gyro_g", "gyro_axes", "accel_axes") else (3,)
+            shape = (3, 3) if name.endswith(("_g", "_axes", "_arms")) else (3,)
             value = np.array(getattr(self, name), dtype=np.float64)
             if value.shape != shape:
                 raise ValueError(f"{name}: expected shape {shape}, found {value.shape}")
