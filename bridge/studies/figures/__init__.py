@@ -43,6 +43,11 @@ FIGURES: Final[dict[str, Figure]] = {
         "coefficients and drift of the one- to five-sample coning algorithms; sculling",
         "Yan Gongmin 2008, Tables 7-1 and 7-2",
     ),
+    "laser": Figure(
+        "bridge.studies.figures.laser",
+        "coning drift of dithered laser gyros latched at whole cycles, and after each correction",
+        "Yan Gongmin 2008, Table 6-1",
+    ),
     "polar": Figure(
         "bridge.studies.figures.polar",
         "24 h of pure inertial navigation across pole, date line and equator, under four azimuth laws",
