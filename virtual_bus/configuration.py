@@ -62,9 +62,10 @@ def imu_errors(grade: Grade) -> dict[str, float]:
     }
 
 
-def alignment_s(rest_s: float) -> tuple[float, float]:
-    """Coarse and fine time (s) of a static alignment that ends before a rest of ``rest_s`` does."""
-    total = max(2.0, rest_s - _ALIGN_MARGIN_S)
+def alignment_s(rest_s: float, total: float | None = None) -> tuple[float, float]:
+    """Coarse and fine time (s) of an alignment of ``total`` s, or of one that ends before a rest does."""
+    if total is None:
+        total = max(2.0, rest_s - _ALIGN_MARGIN_S)
     coarse = min(_COARSE_S, 0.25 * total)
     return coarse, min(_FINE_S, total - coarse)
 
@@ -127,9 +128,11 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         "odometer_lever_arm_m": np.zeros(3),
         "output_point_m": imu_at if v.output_m is None else np.array(v.output_m),
     }
-    coarse_s, fine_s = alignment_s(s.rest_s())
-    # the simulated vehicle stands as still as a pulse of the accelerometers can say
-    known = [f"zero_velocity_sigma_m_s = {wiring.grade.accel_m_s_per_pulse!r}"]
+    coarse_s, fine_s = alignment_s(s.rest_s(), s.navigator.alignment_s)
+    place_deg_m = (s.start.lat_deg, s.start.lon_deg, s.start.height_m)
+    # the simulated vehicle stands as still as a pulse of the accelerometers can say, or never
+    still = wiring.grade.accel_m_s_per_pulse if s.sway is None else 0.0
+    known = [f"zero_velocity_sigma_m_s = {still!r}"]
     if s.gnss is not None and max(s.gnss.correlated_m) > 0.0:
         known.append(f"gnss_correlated_m = {list(s.gnss.correlated_m)!r}")
         known.append(f"gnss_correlation_s = {s.gnss.correlation_s!r}")
@@ -147,6 +150,7 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         "[navigator.main]",
         "devices = [" + ", ".join(_text(name) for name in s.devices()) + "]",
         f"alignment = {_text(s.navigator.alignment)}",
+        f"autostart = {str(s.navigator.autostart).lower()}",
         f"mounting_deg = {mounting}",
         f"mounting_sigma_deg = {v.mounting_sigma_deg!r}",
         f"non_holonomic = {str(s.navigator.non_holonomic).lower()}",
@@ -159,6 +163,8 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         "[navigator.main.align]",
         f"coarse_s = {coarse_s!r}",
         f"fine_s = {fine_s!r}",
+        *([] if s.sway is None else [f"sway_m_s = {max(0.001, s.sway.speed_m_s(v.imu_m))!r}"]),
+        *([] if s.gnss is not None else [f"position_deg_m = {_vector(np.array(place_deg_m))}"]),
         "",
         "[navigator.main.imu_errors]",
         *(f"{key} = {value!r}" for key, value in imu_errors(wiring.grade).items()),

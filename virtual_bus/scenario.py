@@ -21,6 +21,7 @@ from msgspec import Meta
 from virtual_bus.faults import AnyFault
 from virtual_bus.grades import GRADES
 from virtual_bus.manoeuvres import Blend, Manoeuvre, Profile, Static
+from virtual_bus.sway import FASTEST_HZ, Sway
 from virtual_bus.truth import Crab, Trajectory, Vehicle, mounting_matrix, roll_per_accel
 
 PACKAGED: Final = Path(__file__).parent / "scenarios"
@@ -143,13 +144,38 @@ class GnssTable(DeviceTable):
     satellites: Annotated[int, Meta(ge=4, le=60)] = 14
 
 
+class SwayTable(Table):
+    """``[sway]``: it sways about the place of its rear axle, rms angles, between two frequencies.
+
+    From the first instant on, or from rest: then it begins after ``begins_s``.
+    """
+
+    heading_deg: NotNegative = 0.0
+    pitch_deg: NotNegative = 0.0
+    roll_deg: NotNegative = 0.0
+    slowest_hz: Positive = 0.1
+    fastest_hz: Annotated[float, Meta(gt=0.0, le=FASTEST_HZ)] = 0.5
+    begins_s: NotNegative | None = None
+
+    def speed_m_s(self, lever_m: Three) -> float:
+        """Velocity of a point so far off that place, root mean square of an axis."""
+        x, y, z = (part * part for part in lever_m)
+        low, high = self.slowest_hz, self.fastest_hz
+        rate = 2.0 * math.pi * math.sqrt((low * low + low * high + high * high) / 3.0)
+        swept = self.heading_deg**2 * (x + y) + self.pitch_deg**2 * (y + z) + self.roll_deg**2 * (x + z)
+        return rate * math.radians(math.sqrt(swept / 3.0))
+
+
 class NavigatorTable(Table):
     """``[navigator]``: what the bridge is told about this vehicle, and the frame it shows in polar waters.
 
-    ``alignment`` is one that the bridge knows by that name.
+    ``alignment`` is one that the bridge knows by that name; without ``autostart`` it waits for a command.
+    It may take ``alignment_s``, by default nearly as long as the vehicle rests at the start.
     """
 
     alignment: str = "static"
+    alignment_s: Annotated[float, Meta(ge=2.0)] | None = None
+    autostart: bool = True
     find_mounting: bool = False
     non_holonomic: bool = True
     polar: Literal["geographic", "grid", "transverse"] = "geographic"
@@ -168,6 +194,7 @@ class Scenario(Table):
     speed: SpeedTable | None = None
     baro: BaroTable | None = None
     gnss: GnssTable | None = None
+    sway: SwayTable | None = None
     navigator: NavigatorTable = msgspec.field(default_factory=NavigatorTable)
     fault: list[AnyFault] = msgspec.field(default_factory=list)
     repeat_from: int = -1
@@ -228,6 +255,7 @@ class Scenario(Table):
             roll_per_accel=roll_per_accel(options.roll_deg_per_g),
             pitch_per_accel=roll_per_accel(options.pitch_deg_per_g),
             crab=Crab(math.radians(options.crab_deg), rng) if options.crab_deg else None,
+            sway=None if self.sway is None else self._sway(self.sway, rng),
         )
         return Trajectory(
             self.profile(seconds),
@@ -236,6 +264,11 @@ class Scenario(Table):
             math.radians(self.start.lon_deg),
             self.start.height_m,
         )
+
+    @staticmethod
+    def _sway(table: SwayTable, rng: np.random.Generator) -> Sway:
+        sigma = np.radians([table.heading_deg, table.pitch_deg, table.roll_deg])
+        return Sway(sigma, table.slowest_hz, table.fastest_hz, table.begins_s, rng)
 
 
 def packaged() -> dict[str, str]:
@@ -291,6 +324,12 @@ def _check(file: str, scenario: Scenario) -> None:
     if not -count <= scenario.repeat_from < count:
         raise ScenarioError(
             f"{file}: repeat_from: found {scenario.repeat_from}, expected {-count} to {count - 1}"
+        )
+    sway = scenario.sway
+    if sway is not None and sway.fastest_hz < sway.slowest_hz:
+        raise ScenarioError(
+            f"{file}: sway.fastest_hz: found {sway.fastest_hz:g}, expected at least {sway.slowest_hz:g}, its "
+            "slowest_hz"
         )
     devices = scenario.devices()
     for place, fault in enumerate(scenario.fault):

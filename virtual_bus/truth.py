@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from virtual_bus import ellipsoid
 from virtual_bus.ellipsoid import G0, OMEGA
 from virtual_bus.manoeuvres import Profile
+from virtual_bus.sway import Sway
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -76,7 +77,8 @@ class Vehicle:
 
     ``C_vb`` (3, 3) takes IMU axes to vehicle axes. The body leans ``roll_per_accel`` rad per m/s^2
     outward in a curve and lifts its nose ``pitch_per_accel`` rad per m/s^2 when it accelerates. Where a
-    ``crab`` is given its heading is off the path's by that much: side wind, camber, steering.
+    ``crab`` is given its heading is off the path's by that much: side wind, camber, steering. A ``sway``
+    turns it about the reference point.
     """
 
     imu: Array
@@ -84,6 +86,7 @@ class Vehicle:
     roll_per_accel: float = 0.0
     pitch_per_accel: float = 0.0
     crab: Crab | None = None
+    sway: Sway | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,9 +197,11 @@ class Trajectory:
         self.profile = profile
         self.vehicle = vehicle
         starts: list[int] = []
+        # what sways twice as fast as its waves, as products of them do, is followed over half the time
+        piece_ns = PIECE_NS if vehicle.sway is None else PIECE_NS // 2
         ends = [*profile.start_ns[1:].tolist(), profile.end_ns]
         for t0, t1 in zip(profile.start_ns.tolist(), ends, strict=True):
-            count = -(-(t1 - t0) // PIECE_NS)
+            count = -(-(t1 - t0) // piece_ns)
             starts.extend(t0 + (t1 - t0) * k // count for k in range(count))
         self._start_ns = np.array(starts, np.int64)
         self._half = 0.5e-9 * np.diff(np.append(self._start_ns, profile.end_ns))
@@ -232,7 +237,8 @@ class Trajectory:
         index, local = self._local(t_ns)
         r_axle = self._r0[index] + local[:, :3]
         profile, rolled = self.profile.channels(t_ns), self.profile.distance(t_ns)
-        return self._motion(profile, rolled, r_axle, self.vehicle.imu if point is None else point)
+        point = self.vehicle.imu if point is None else point
+        return self._motion(1e-9 * t_ns.astype(np.float64), profile, rolled, r_axle, point)
 
     def state(self, t_ns: int, point: Array | None = None) -> TruthState:
         """Truth at one instant; position and velocity are those of ``point`` (vehicle axes) or the IMU."""
@@ -290,7 +296,8 @@ class Trajectory:
             steps = half[:, 0] * np.einsum("k,pkc->pc", _AT_END, v_e)
             self._r0[a + 1 : b + 1] = self._r0[a] + np.cumsum(steps, axis=0)
             r = self._r0[a:b, None, :] + half * np.einsum("ik,pkc->pic", _AT_NODES, v_e)
-        motion = self._motion(profile, self.profile.distance(at, since), r.reshape(-1, 3), self.vehicle.imu)
+        rolled = self.profile.distance(at, since)
+        motion = self._motion(1e-9 * at + since, profile, rolled, r.reshape(-1, 3), self.vehicle.imu)
         rates = np.concatenate((motion.w_iv_v @ self.vehicle.C_vb, motion.f_v @ self.vehicle.C_vb), axis=1)
         values = np.concatenate((v_e, rates.reshape(b - a, NODES, 6)), axis=2)
         self._coef[a:b] = half * np.einsum("ik,pkc->pic", _INTEGRAL, values)
@@ -308,8 +315,8 @@ class Trajectory:
         turn = np.stack((-sg * gam1 * sp + cg * cp * psi1, -sg * gam1 * cp - cg * sp * psi1, cg * gam1), -1)
         return s[:, None] * along, s1[:, None] * along + s[:, None] * turn
 
-    def _motion(self, profile: Channels, rolled: Array, r_axle: Array, point: Array) -> Motion:
-        """Kinematics of ``point`` from the axle's Earth-fixed position, distance rolled and profile."""
+    def _motion(self, t: Array, profile: Channels, rolled: Array, r_axle: Array, point: Array) -> Motion:
+        """Kinematics of ``point`` from time (s), profile, distance rolled and the axle's place in e."""
         (s, psi, gam), (s1, psi1, gam1), (s2, psi2, gam2), (s3, psi3, _) = (c.T for c in profile)
         v_h, vdot_h = self._velocity(profile)
         lat, lon, height = ellipsoid.to_geodetic(r_axle)
@@ -325,6 +332,11 @@ class Trajectory:
         if self.vehicle.crab is not None:
             crab, crab1, crab2 = self.vehicle.crab.angle(rolled, np.abs(s), np.sign(s) * s1)
             psi, psi1, psi2 = psi + crab, psi1 + crab1, psi2 + crab2
+        if self.vehicle.sway is not None:
+            now, first, second = (a.T for a in self.vehicle.sway.angles(t))
+            psi, pitch, roll = psi + now[0], pitch + now[1], roll + now[2]
+            psi1, pitch1, roll1 = psi1 + first[0], pitch1 + first[1], roll1 + first[2]
+            psi2, pitch2, roll2 = psi2 + second[0], pitch2 + second[1], roll2 + second[2]
         C_hv = _attitude(psi, pitch, roll)
         sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
         w_hv = np.stack(

@@ -16,6 +16,7 @@ from virtual_bus.manoeuvres import (
     STurns,
     Turn,
 )
+from virtual_bus.sway import FASTEST_HZ, Sway
 from virtual_bus.truth import Trajectory, Vehicle, mounting_matrix, roll_per_accel
 
 LAT, LON, HEIGHT, HEADING = math.radians(48.0), math.radians(11.0), 500.0, 0.7
@@ -29,6 +30,7 @@ def trajectory_of(
     lon=LON,
     heading=HEADING,
     mounting=(2.0, -3.0, 10.0),
+    sway=None,
 ):
     blends, speed = [], 0.0
     for manoeuvre in manoeuvres:
@@ -40,8 +42,14 @@ def trajectory_of(
         C_vb=mounting_matrix(*mounting),
         roll_per_accel=roll_per_accel(lean[0]),
         pitch_per_accel=roll_per_accel(lean[1]),
+        sway=sway,
     )
     return Trajectory(Profile(blends, heading=heading), vehicle, lat, lon, HEIGHT)
+
+
+def sway(begins_s=None):
+    """As fast and as strong as any."""
+    return Sway(np.radians([2.0, 3.0, 4.0]), 0.1, FASTEST_HZ, begins_s, np.random.default_rng(7))
 
 
 @pytest.fixture(scope="session")
@@ -62,6 +70,18 @@ def ride():
             Brake(duration_s=3.0),
         ]
     )
+
+
+@pytest.fixture(scope="session", params=["driven", "swaying", "swaying after rest", "swaying on the way"])
+def any_ride(request, ride):
+    """The ride, and bases that sway where they stand and as they go."""
+    if request.param == "driven":
+        return ride
+    if request.param == "swaying on the way":
+        return trajectory_of(
+            [Static(duration_s=4.0), Accelerate(duration_s=8.0, speed_m_s=12.0)], sway=sway()
+        )
+    return trajectory_of([Static(duration_s=30.0)], sway=sway(3.0 if "rest" in request.param else None))
 
 
 @pytest.fixture(scope="session")

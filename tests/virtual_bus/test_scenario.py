@@ -118,11 +118,39 @@ def test_cut_and_extended(tmp_path):
         (("[start]", "[gnss]\nwhite = 3\n[start]"), r"gnss.white: found an unknown key, .*white_m"),
         (("[start]", "repeat_from = 7\n[start]"), r"repeat_from: found 7, expected -1 to 0"),
         (("[start]", "[start"), r"own.toml: not valid TOML"),
+        (
+            ("[start]", "[sway]\nfastest_hz = 0.05\n[start]"),
+            r"sway.fastest_hz: found 0.05, expected at least",
+        ),
+        (("[start]", "[sway]\nfastest_hz = 5.0\n[start]"), r"sway.fastest_hz: found 5.0, .* <= 1.2"),
     ],
 )
 def test_what_is_wrong_is_said(tmp_path, change, message):
     with pytest.raises(ScenarioError, match=message):
         scenario.load(write(tmp_path, GOOD.replace(*change)))
+
+
+@pytest.mark.parametrize("begins_s", [None, 20.0])
+def test_a_base_sways_about_its_place_as_fast_as_is_told(tmp_path, begins_s):
+    begins = "" if begins_s is None else f"begins_s = {begins_s}\n"
+    rms = {"heading_deg": 0.4, "pitch_deg": 0.7, "roll_deg": 1.5}
+    table = "".join(f"{key} = {value}\n" for key, value in rms.items())
+    path = write(tmp_path, f"{GOOD}[sway]\n{table}{begins}[navigator]\nalignment_s = 60.0\n")
+    bench = Bench(path, seed=4, seconds=600.0)
+    motion = bench.trajectory.motion(np.arange(60_000_000_000, 600_000_000_000, 100_000_000))
+    pitch, roll = np.arcsin(motion.C_gv[:, 2, 1]), np.arctan2(-motion.C_gv[:, 2, 0], motion.C_gv[:, 2, 2])
+    for angle, sigma in ((pitch, 0.7), (roll, 1.5)):
+        # waves of 9 minutes and known strength: what is left of the phases at the ends
+        assert np.degrees(np.std(angle)) == pytest.approx(sigma, rel=0.05)
+    told = next(row for row in bench.config_toml("virtual", "x").splitlines() if row.startswith("sway_m_s"))
+    # the rates are drawn from a band, eight to an axis
+    assert float(told.split()[2]) == pytest.approx(np.sqrt(np.mean(motion.v_g**2)), rel=0.3)
+    # the place itself stays where it is, to rounding of the radius of the Earth
+    middle = bench.trajectory.motion(np.array([0, 500_000_000_000]), np.zeros(3))
+    assert middle.r_e[0] == pytest.approx(middle.r_e[1], abs=1e-8)
+    first = bench.trajectory.motion(np.arange(0, 15_000_000_000, 100_000_000))
+    assert (np.abs(first.v_g).max() < 1e-9) == (begins_s is not None)
+    assert "coarse_s = 15.0\nfine_s = 45.0" in bench.config_toml("virtual", "x")
 
 
 @pytest.mark.parametrize(
@@ -158,7 +186,7 @@ def test_what_cannot_be_driven_is_said(tmp_path):
 
 
 def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(ScenarioError, match=r"no such scenario; expected .* one of drive, drive_outage"):
+    with pytest.raises(ScenarioError, match=r"no such scenario; expected .* one of drive, drive_off,"):
         scenario.load("driev")
     with pytest.raises(ScenarioError, match="seconds: found -1"):
         Bench("drive", seconds=-1.0)
