@@ -63,6 +63,11 @@ FIGURES: Final[dict[str, Figure]] = {
         "heading error of a gimballed platform at high latitudes: not turned, turned, swung",
         "Zhao Wangyang et al. 2021, Table 1",
     ),
+    "size-effect": Figure(
+        "bridge.studies.figures.size_effect",
+        "velocity that a swing makes of accelerometers that sit apart, and their compensation",
+        "Yan Gongmin 2008, chapter 5",
+    ),
 }
 """Name on the command line to figure."""
 
