@@ -55,7 +55,8 @@ def run(args: argparse.Namespace) -> int:
     from bridge.config import Config
     from bridge.recording import Capture
     from bridge.report import explain_wait
-    from bridge.studies import alignment_table as table
+    from bridge.studies import alignment_report as report
+    from bridge.studies.alignment_table import run_methods
     from nav.align import ALIGNMENTS
 
     capture = Capture(args.capture)
@@ -68,13 +69,13 @@ def run(args: argparse.Namespace) -> int:
         name = args.navigator if args.navigator in config.navigators else next(iter(config.navigators))
         methods = [config.navigators[name].alignment]
     explain_wait(sys.stderr)
-    found = table.run_methods(
+    found = run_methods(
         capture, config, methods, navigator=args.navigator, start_s=args.start, seconds=args.seconds
     )
     if args.json:
-        print(table.json_of(found, args.bound), flush=True)
+        print(report.json_of(found, args.bound), flush=True)
     else:
-        print("\n".join(table.lines_of(found, args.bound)), flush=True)
+        print("\n".join(report.lines_of(found, args.bound)), flush=True)
     if args.out is not None:
         _draw(Path(args.out), Path(args.capture).name, found, args)
     return 0 if any(one.ended_s is not None for one in found) else 1

@@ -6,9 +6,7 @@ alignments get them as a navigator would, each from the same first sample on, un
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -30,7 +28,6 @@ from nav.types import ImuFlag, ImuSample, Sample
 
 Array = NDArray[np.float64]
 
-BOUND_DEG: Final = 1.0
 _SAMPLED_NS: Final = 100_000_000
 _TRUTH_GAP_NS: Final = 300_000_000
 _FAULT: Final = int(ImuFlag.DEVICE_FAULT)
@@ -61,7 +58,9 @@ class Found:
     ``lacks`` names what it needs and does not get here; it was not run then. ``refusals`` are (s, why) of
     every start that it gave up, equal ones in a row once. ``ended_s`` is when it handed over. Of the
     attitude at the hand-over, or of the last one that it had: ``attitude_deg`` (pitch, roll, heading),
-    ``sigma_deg`` and ``limit_deg`` (east, north, up), ``error_deg`` against truth where that is known.
+    ``sigma_deg`` and ``limit_deg`` (east, north, up), ``error_deg`` against truth where that is known. Sigmas
+    are of the IMU's attitude, angles and errors of the vehicle's: ``mounting_sigma_deg`` of heading is to be
+    added.
     """
 
     method: str
@@ -72,6 +71,7 @@ class Found:
     ended_s: float | None = None
     attitude_deg: tuple[float, ...] | None = None
     sigma_deg: tuple[float, ...] | None = None
+    mounting_sigma_deg: float = 0.0
     limit_deg: tuple[float, ...] | None = None
     error_deg: tuple[float, ...] | None = None
     trace: Trace | None = None
@@ -161,6 +161,10 @@ class _Line:
     def _finish(self, init: NavInit | None) -> None:
         found = self.found
         found.restarts = self._run.restarts
+        if self._config.C_vb is not None:
+            found.mounting_sigma_deg = self._config.sigma_mounting * _DEG
+        elif init is not None and init.sigma_mounting is not None:
+            found.mounting_sigma_deg = float(init.sigma_mounting[2]) * _DEG
         if not self._rows:
             return
         t_ns = np.array([row[0] for row in self._rows], dtype=np.int64)
@@ -294,105 +298,3 @@ def run_methods(
     if first_ns is None and lines:
         raise CaptureError(f"{capture.path}: found no inertial sample for navigator {name}")
     return [lines[m].close() if m in lines else Found(m, lacks=lacks[m]) for m in methods]
-
-
-def lines_of(found: Sequence[Found], bound_deg: float) -> list[str]:
-    """The table for people, and why what was refused was."""
-    has_truth = any(one.error_deg is not None for one in found)
-    heads = [
-        "alignment",
-        "heading",
-        "pitch",
-        "roll",
-        "sigma",
-        "limit",
-        "level",
-        f"< {bound_deg:g} deg",
-        "ended",
-    ]
-    rows = [heads + (["error", "e/sigma"] if has_truth else [])]
-    for one in found:
-        if one.attitude_deg is None:
-            rows.append([one.method, *["-"] * (len(rows[0]) - 1)])
-            continue
-        pitch, roll, heading = one.attitude_deg
-        sigma, limit = one.sigma_deg or (math.nan,) * 3, one.limit_deg or (math.nan,) * 3
-        row = [
-            one.method,
-            "-" if math.isnan(heading) else f"{heading % 360.0:.3f}",
-            f"{pitch:.4f}",
-            f"{roll:.4f}",
-            f"{sigma[2]:.3g}",
-            f"{limit[2]:.3g}",
-            f"{max(sigma[:2]):.2g}",
-            _seconds(one.converged_s(bound_deg)),
-            _seconds(one.ended_s),
-        ]
-        if has_truth:
-            error = one.error_deg[2] if one.error_deg is not None else math.nan
-            row += [f"{error:+.3f}", f"{error / sigma[2]:+.2f}"] if math.isfinite(error) else ["-", "-"]
-        rows.append(row)
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if k == 0 else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
-    lines.insert(1, "-" * max(map(len, lines)))
-    lines.append(
-        "angles and sigmas in deg; sigma, limit and error of heading, level the larger sigma of the other "
-        "two; times in s: when the sigma of heading fell below the bound for good, and when it handed over"
-    )
-    for one in found:
-        if one.lacks:
-            lines.append(f"{one.method}: not run, it needs {one.lacks}")
-        kinds: dict[str, list[tuple[float, str]]] = {}
-        for t_s, why in one.refusals:
-            kinds.setdefault(re.sub(r"[\d.]+", "", why), []).append((t_s, why))
-        for again in kinds.values():
-            t_s, why = again[0]
-            more = f" (and {len(again) - 1} times more, till {again[-1][0]:.1f} s)" if len(again) > 1 else ""
-            lines.append(f"{one.method}: refused after {t_s:.1f} s: {why}{more}")
-    return lines
-
-
-def _seconds(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"
-
-
-def document_of(found: Sequence[Found], bound_deg: float) -> dict[str, Any]:
-    """The same for programs."""
-    axes, about = ("pitch", "roll", "heading"), ("east", "north", "up")
-
-    def named(names: Sequence[str], values: tuple[float, ...] | None) -> dict[str, float | None] | None:
-        if values is None:
-            return None
-        return {name: v if math.isfinite(v) else None for name, v in zip(names, values, strict=True)}
-
-    return {
-        "bound_deg": bound_deg,
-        "alignments": [
-            {
-                "method": one.method,
-                "lacks": one.lacks or None,
-                "attitude_deg": named(axes, one.attitude_deg),
-                "sigma_deg": named(about, one.sigma_deg),
-                "limit_deg": named(about, one.limit_deg),
-                "error_deg": named(axes, one.error_deg),
-                "converged_s": one.converged_s(bound_deg),
-                "right_s": one.right_s(bound_deg),
-                "ended_s": one.ended_s,
-                "seconds": one.seconds,
-                "restarts": one.restarts,
-                "refusals": [{"t_s": t_s, "why": why} for t_s, why in one.refusals],
-            }
-            for one in found
-        ],
-    }
-
-
-def json_of(found: Sequence[Found], bound_deg: float) -> str:
-    """`document_of` as text."""
-    return json.dumps(document_of(found, bound_deg), indent=2, allow_nan=False)
