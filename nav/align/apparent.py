@@ -215,6 +215,11 @@ def _at(ring: Vector, times: Times, count: int, t_ns: int, out: Vector) -> bool:
     return True
 
 
+def before(track: Tracker) -> Vector:
+    """The row before the last; at the beginning there is one already."""
+    return np.asarray(track.ring[(int(track.written[0]) - 2) % RING])
+
+
 class Change(NamedTuple):
     """What happened between two rows, in b0: seconds, integrals of force, sensitivities as in a row."""
 
@@ -242,6 +247,19 @@ def change(a: Vector, b: Vector) -> Change:
         E=(b[A_E:A_D] - a[A_E:A_D]).reshape(3, 3) - A_a * dt,
         D=(b[A_D:A_SIZE] - a[A_D:A_SIZE]).reshape(3, 3) - B_a * dt - cross_matrix(dp) @ A_a,
     )
+
+
+def swung(row: Vector) -> Vector:
+    """Displacement (3,) m in b0 of a row, and its C_b0b (9,) by rows, of one piece (12,)."""
+    out = np.empty(12)
+    _swung(row, out)
+    return out
+
+
+@kernel
+def _swung(row: Vector, out: Vector) -> None:
+    out[0:3] = row[A_P : A_P + 3]
+    _matrix(row[1], row[2], row[3], row[4], out[3:12])
 
 
 def attitude(row: Vector) -> Vector:

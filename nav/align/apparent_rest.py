@@ -9,7 +9,7 @@ import numpy as np
 
 from nav.align import constant
 from nav.align.apparent import A_P, A_T, A_V, Inertial, attitude, change, felt, turn
-from nav.align.constant import POS, START
+from nav.align.constant import START
 from nav.align.types import AlignConfig
 from nav.rotation import quat_from_dcm, rotvec_from_quat
 from nav.types import GnssFix, Vector
@@ -91,9 +91,7 @@ def standing(
     r_old = turn(was.seconds) @ (turn(path.seconds).T @ r)
     u = (felt(path, r, None)[1] - felt(was, r_old, None)[1]) / dt
     H = constant.design(u)
-    # the mean of the velocity's error is the change of the position's
-    before = np.linalg.inv(constant.transition(change(old, row)))
-    H -= (np.eye(constant.SIZE)[POS] - before[POS]) / dt
+    H -= constant.meanwhile(change(old, row))
     H[:, START] -= _EYE
     least = 2.0 * (config.sway * SWAY_S / dt) ** 2 + config.velocity_random_walk**2 * dt / 3.0
     if len(rest.squares) < FEWEST:

@@ -33,6 +33,7 @@ POS: Final = slice(21, 24)  # m, in b0
 START: Final = slice(24, 27)  # m/s, velocity over the Earth at the beginning, in b0
 OFFSET: Final = slice(27, 30)  # m, in b0: place at the beginning, what a reference wanders off
 WHEEL: Final = slice(30, 33)  # 1, rad, rad: odometer scale, mounting in heading and in pitch
+LEVER: Final = WHEEL  # m, in b: from the point about which a base sways, which has no wheels, to the IMU
 SIZE: Final = 33
 FREE: Final = 1.0 / 3.0  # variance of an element of any rotation
 MISFIT: Final = 50.0  # chi-square of twelve degrees of freedom that no run of the mill data reach
@@ -74,6 +75,12 @@ def transition(c: Change, forget_s: float = math.inf) -> Vector:
     F[POS, EPS], F[POS, NAB] = c.D, -c.E
     F[OFFSET, OFFSET] *= math.exp(-c.dt / forget_s)
     return F
+
+
+def meanwhile(c: Change) -> Vector:
+    """Error of the mean velocity over a change of the rows by the state after it, (3, SIZE)."""
+    before = np.linalg.inv(transition(c))
+    return np.asarray((np.eye(SIZE)[POS] - before[POS]) / c.dt)
 
 
 def predict(

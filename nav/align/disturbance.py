@@ -21,17 +21,17 @@ class Roughness(NamedTuple):
     """The last epochs, and the mean squares of the last fourth differences of them.
 
     A cubic has none, so neither gravity, its drift nor a bias shows, only what is different from epoch to
-    epoch. They are taken between every `NEAR`-th epoch, since neighbours overlap, and between every `FAR`-th,
-    which sees a slower sway. ``walk`` m/s/sqrt(s): the accelerometers' noise, which shows as well, integrated
-    once or ``twice``, and is none of the epochs'.
+    epoch and not explained by what stands beside them. They are taken between every `NEAR`-th epoch, since
+    neighbours overlap, and between every `FAR`-th, which sees a slower sway. ``walk`` m/s/sqrt(s): the
+    accelerometers' noise, which shows as well, integrated once or ``twice``, and is none of the epochs'.
     """
 
     walk: float
     twice: bool = True
     t: tuple[float, ...] = ()
     z: tuple[Vector, ...] = ()
-    near: tuple[tuple[float, float], ...] = ()  # mean squares, and what the walk gives them
-    far: tuple[tuple[float, float], ...] = ()
+    near: tuple[Fourth, ...] = ()
+    far: tuple[Fourth, ...] = ()
 
     @property
     def sigma(self) -> float | None:
@@ -41,34 +41,47 @@ class Roughness(NamedTuple):
         return math.sqrt(max(_beyond(self.near), _beyond(self.far) if len(self.far) >= FEWEST else 0.0))
 
 
-def _beyond(squares: tuple[tuple[float, float], ...]) -> float:
+class Fourth(NamedTuple):
+    """A fourth difference (3, 1 + n) as large as the noise of an epoch, and the walk's variance in it."""
+
+    told: Vector
+    walk: float
+
+
+def _beyond(fourths: tuple[Fourth, ...]) -> float:
     """Mean square beyond the walk's, where it is more than chance."""
-    seen, walk = (sum(part) / len(squares) for part in zip(*squares, strict=True))
+    told = np.concatenate([one.told for one in fourths])
+    walk = sum(one.walk for one in fourths) / len(fourths)
+    left, free = told[:, 0], len(told)
+    if told.shape[1] > 1:
+        fitted, _, rank, _ = np.linalg.lstsq(told[:, 1:], left, rcond=1e-6)
+        left, free = left - told[:, 1:] @ fitted, free - int(rank)
+    seen = float(left @ left) / free
     return seen - walk if seen > CHANCE * walk else 0.0
 
 
 def follow(rough: Roughness, t: float, z: Vector) -> Roughness:
-    """Add the epoch ``z`` (3,) at ``t`` s."""
+    """Add the epoch ``z`` (3,) at ``t`` s; or (3, 1 + n): beside it, what explains it linearly."""
     times, values = (*rough.t, t)[-4 * FAR - 1 :], (*rough.z, z)[-4 * FAR - 1 :]
     near, far = rough.near, rough.far
     if len(times) > 4 * NEAR:
-        near = (*near, _square(rough, times[::-NEAR][:5], values[::-NEAR][:5]))[-EPOCHS:]
+        near = (*near, _fourth(rough, times[::-NEAR][:5], values[::-NEAR][:5]))[-EPOCHS:]
     if len(times) > 4 * FAR:
-        far = (*far, _square(rough, times[::FAR], values[::FAR]))[-EPOCHS:]
+        far = (*far, _fourth(rough, times[::FAR], values[::FAR]))[-EPOCHS:]
     return rough._replace(t=times, z=values, near=near, far=far)
 
 
-def _square(rough: Roughness, times: tuple[float, ...], values: tuple[Vector, ...]) -> tuple[float, float]:
-    """Mean square of a component of noise with this fourth divided difference; and what the walk gives."""
+def _fourth(rough: Roughness, times: tuple[float, ...], values: tuple[Vector, ...]) -> Fourth:
+    """The fourth divided difference, and the mean square that the walk gives a component of it."""
     t = np.array(times) - min(times)
     apart = t[:, None] - t + np.eye(5)
     weights = 1.0 / np.prod(apart, axis=1)
-    fourth = weights @ np.array(values)
     first, last = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
     # covariance of white noise, integrated: Brownian motion and its integral
     walk = rough.walk**2 * (first**2 * (3.0 * last - first) / 6.0 if rough.twice else first)
     size = float(weights @ weights)
-    return float(fourth @ fourth) / (3.0 * size), float(weights @ walk @ weights) / size
+    told = np.tensordot(weights, np.array(values), 1) / math.sqrt(size)
+    return Fourth(told.reshape(3, -1), float(weights @ walk @ weights) / size)
 
 
 class Window(NamedTuple):

@@ -20,9 +20,9 @@ from nav.types import Vector
 
 SETTLE_S: Final = 25.0  # before that the nine elements are not told apart
 SIGMAS: Final = 6.0
-RIVAL_EPOCHS: Final = 6  # that one goes along
 RIVALS: Final = 3
 EVENT: Final = 100.0  # chi-square; a sway, which is no white noise, gives 60 by chance
+DOUBT: Final = 0.4  # of what is no chance: from there on the answer may be off by what made a rival better
 _HAPPENED: Final = np.zeros((SIZE, SIZE))  # covariance of what may have happened: rad, m/s, m
 _HAPPENED[THETA, THETA] = 1e-3**2 * np.eye(3)
 _HAPPENED[VEL, VEL], _HAPPENED[POS, POS] = 0.1**2 * np.eye(3), 0.3**2 * np.eye(3)
@@ -50,7 +50,12 @@ class Rival(NamedTuple):
 
 
 class Book(NamedTuple):
-    """The estimate at a row, the roughness of the epochs so far, and those that wait for it."""
+    """The estimate at a row, the roughness of the epochs so far, and those that wait for it.
+
+    A rival goes along for ``lasts`` epochs. ``white``: chi-square by which it must be better where epochs are
+    no rougher than their floor; it grows with their variance up to `EVENT`. ``worst``: the largest part of it
+    that one reached.
+    """
 
     estimate: Estimate
     row: Vector
@@ -58,11 +63,19 @@ class Book(NamedTuple):
     waiting: tuple[Epoch, ...] = ()
     taken: int = 0
     rivals: tuple[Rival, ...] = ()
+    lasts: int = 6
+    white: float = EVENT
+    worst: float = 0.0
 
     @property
     def settled(self) -> bool:
         """Whether the estimate holds all epochs, and enough of them to mean something."""
         return not self.waiting and float(self.row[0]) > SETTLE_S
+
+    @property
+    def doubt(self) -> float:
+        """What covariances are to be widened by: something may have happened that is not certain."""
+        return max(1.0, self.worst / DOUBT) ** 2
 
 
 def take(
@@ -86,6 +99,7 @@ def take(
     rough = follow(book.rough, t, bare)
     usual, now = book.rough.sigma, rough.sigma
     e, rivals, waiting, moved = book.estimate, book.rivals, (*book.waiting, epoch), 0.0
+    worst = book.worst
     if now is not None:
         variance = max(floor, now) ** 2
         for past in waiting:
@@ -94,11 +108,20 @@ def take(
                 seen = constant.innovation(ahead, H, z, max(floor, usual) ** 2 * _EYE)
                 size = float(np.linalg.norm(seen.nu))
                 rivals, better = _rivalled(book, config, epoch, ahead, variance)
-                if better > EVENT or (seen.chi2 > SIGMAS**2 + 3.0 and size > large):
+                worst = max(worst, better / _chance(book, variance, floor))
+                if worst > 1.0 or (seen.chi2 > SIGMAS**2 + 3.0 and size > large):
                     moved = size
             e = constant.update(ahead, past.H, past.z, variance * _EYE)
         waiting = ()
-    return Book(e, row, rough, waiting, book.taken + 1, rivals), moved
+    taken = book.taken + 1
+    return book._replace(
+        estimate=e, row=row, rough=rough, waiting=waiting, taken=taken, rivals=rivals, worst=worst
+    ), moved
+
+
+def _chance(book: Book, variance: float, floor: float) -> float:
+    """Chi-square by which a rival is not better by chance."""
+    return min(EVENT, book.white * variance / floor**2) if floor > 0.0 else EVENT
 
 
 def _rivalled(
@@ -106,7 +129,7 @@ def _rivalled(
 ) -> tuple[tuple[Rival, ...], float]:
     """Let the rivals take an epoch, ``ahead`` of which the estimate is; and how much better the best is."""
     noise, rivals, best = variance * _EYE, book.rivals, 0.0
-    if book.taken % (RIVAL_EPOCHS // RIVALS) == 0:
+    if book.taken % (book.lasts // RIVALS) == 0:
         rivals = (*rivals, Rival(book.estimate._replace(P=book.estimate.P + _HAPPENED)))
     known = constant.innovation(ahead, epoch.H, epoch.z, noise)
     left = []
@@ -114,7 +137,7 @@ def _rivalled(
         e = constant.predict(estimate, epoch.change, config, epoch.walk)
         better += (known.chi2 - constant.innovation(e, epoch.H, epoch.z, noise).chi2) * variance
         best = max(best, better / variance)
-        if epochs + 1 < RIVAL_EPOCHS:
+        if epochs + 1 < book.lasts:
             left.append(Rival(constant.update(e, epoch.H, epoch.z, noise), better, epochs + 1))
     return tuple(left), best
 

@@ -1,15 +1,17 @@
 """Alignment on a swaying base at a fixed place: the drift of gravity seen from an inertial frame.
 
 Angular sway does not matter, since the gyros carry the frame through it; what matters is the
-velocity that sway gives to an IMU off its centre (Yan Gongmin 2008, section 3.4). Of one integral of specific
-force (eq. (3-38a)) that velocity is noise; of two, only the displacement is, which stays where it is while
-the signal grows with the cube of time. Two integrals however drift with the velocity at the start: the
-printed method has it zero, here it is estimated, so a sway that runs from the beginning does no harm.
+velocity that sway gives to an IMU off the point it turns about (Yan Gongmin 2008, section 3.4). The gyros see
+that as well: it is the lever arm, a constant in b, times what b0 sees b turn. So the lever arm is estimated,
+and only what it does not explain (a centre that moves itself) is noise. Of one integral of specific force
+(eq. (3-38a)) that is a velocity; of two, a displacement, which stays where it is while the signal grows with
+the cube of time. Two integrals however drift with the velocity at the start: the printed method has it
+zero, here it is estimated, so a sway that runs from the beginning does no harm.
 
-`SINGLE` takes the velocity at instants and the rotation from two vectors (eq. (3-22)); `DOUBLE` the
-displacement, averaged over a few seconds, and two vectors; `ALL` the same, and the rotation from all the data
-(Wahba's problem). Epochs count by the inverse covariance of what sensors do to them and of the sway, which is
-measured as it comes.
+`SINGLE` takes the velocity at instants, from a pair of samples to the next, and the rotation from two
+vectors (eq. (3-22)); `DOUBLE` the displacement, averaged over two seconds, and two vectors; `ALL` that,
+and the rotation from all the data (Wahba's problem). Epochs count by the inverse covariance of what sensors
+do to them and of the sway that is left, which is measured as it comes.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ import numpy as np
 
 from nav.align import constant
 from nav.align import still as watch
-from nav.align.apparent import A_P, A_T, A_V, Tracker, add, gravity_integrals, tracker
+from nav.align.apparent import A_T, Tracker, add, before, change, gravity_integrals, swung, tracker
 from nav.align.apparent_epoch import Mean, Pair, against_gravity, close, fill, pair
 from nav.align.apparent_result import (
     attitude_now,
@@ -31,7 +33,7 @@ from nav.align.apparent_result import (
     velocity_now,
 )
 from nav.align.apparent_stage import Taken, blank, duration, progress, stepping, without_place
-from nav.align.constant import START, VEL, Solved
+from nav.align.constant import LEVER, START, Solved
 from nav.align.disturbance import Roughness, spread
 from nav.align.epochs import Book, bring, take
 from nav.align.handover import Place, imu_place
@@ -41,12 +43,16 @@ from nav.earth import earth_rate_g
 from nav.rotation import dcm_from_quat, quat_from_dcm
 from nav.types import ImuSample, Sample, Vector
 
-EPOCH_S: Final = 4.0
+EPOCH_S: Final = 2.0
 INSTANT_S: Final = (1.0, 0.8)  # mean pause between instants, and how far pauses are spread
 PUSHED: Final = 0.05  # m or m/s that is no sway
 START_SPEED: Final = 1.0  # m/s, standard deviation of the velocity at the start
 PLACE: Final = 0.2  # m, standard deviation of the displacement at the start
 SWAY_S: Final = 0.02  # displacement over velocity of a sway that no epoch averages out
+ARM: Final = 10.0  # m, standard deviation of what the base turns about is away
+STEADY: Final = 0.05  # of a sway's velocity, at least left at an instant
+RIVAL_EPOCHS: Final = 24  # that a rival goes along
+WHITE: Final = 30.0  # chi-square by which it is better by chance in no sway that the lever arm explains
 _EYE: Final = np.eye(3)
 _ZERO: Final = np.zeros(3)
 _NONE: Final = np.zeros((3, 3))
@@ -89,12 +95,18 @@ def _begin(state: Sway, sample: ImuSample, twice: bool) -> Taken[Sway]:
         waited = state.waited + sample.dt
         return state._replace(waited=waited), without_place(waited)
     track = tracker(sample.t_ns - round(sample.dt * 1e9))
-    estimate = constant.begin(config, START_SPEED, PLACE, _ZERO)
+    estimate = constant.begin(config, START_SPEED, PLACE, np.full(3, ARM))
     state = state._replace(
         place=place,
         track=track,
-        book=Book(estimate, track.row.copy(), Roughness(config.velocity_random_walk, twice)),
-        pair=pair(track.row, EPOCH_S, 3),
+        book=Book(
+            estimate,
+            track.row.copy(),
+            Roughness(config.velocity_random_walk, twice),
+            lasts=RIVAL_EPOCHS,
+            white=WHITE,
+        ),
+        pair=pair(track.row, EPOCH_S, 12),
         instant=spread(0, *INSTANT_S),
         status=blank(config, place),
     )
@@ -115,14 +127,14 @@ def _take(state: Sway, track: Tracker, sample: ImuSample, twice: bool, vectors: 
     add(*track, sample.dtheta, sample.dv, sample.dt, sample.t_ns, end or full)
     reason = None
     if twice:
-        fill(open_, float(row[A_T]), row[A_P : A_P + 3])
+        fill(open_, float(row[A_T]), swung(row))
         if full:
             open_, mean = close(open_, row)
             state = state._replace(pair=open_)
             if mean is not None:
                 state, reason = _epoch(state, mean, vectors)
     elif full:
-        state, reason = _instant(state, row.copy())
+        state, reason = _instant(state, before(track), row.copy())
     if end and reason is None:
         state, reason = _end(state._replace(t_ns=sample.t_ns), row, twice, vectors)
     return state, reason
@@ -133,19 +145,26 @@ def _epoch(state: Sway, mean: Mean, vectors: bool) -> Taken[Sway]:
     config, (lat, _, height), book = state.config, state.place, state.book
     assert book is not None
     H, seconds, curved = against_gravity(mean, lat, height)
-    z = mean.values
-    book, moved = take(book, config, mean.row, seconds, z - curved, H, z, _NONE, config.sway * SWAY_S, PUSHED)
+    z, arm = mean.values[0:3], mean.values[3:12].reshape(3, 3) - _EYE
+    H[:, LEVER] = arm
+    bare = np.column_stack([z - curved, arm])
+    book, moved = take(book, config, mean.row, seconds, bare, H, z, _NONE, config.sway * SWAY_S, PUSHED)
     return _taken(state._replace(book=book), moved, "m", True, vectors)
 
 
-def _instant(state: Sway, row: Vector) -> Taken[Sway]:
-    """A velocity, and the new solution."""
+def _instant(state: Sway, before: Vector, row: Vector) -> Taken[Sway]:
+    """A velocity, from one row to the next, and the new solution."""
     config, (lat, _, height), book = state.config, state.place, state.book
     assert book is not None
-    seconds, z = float(row[A_T]), row[A_V : A_V + 3].copy()
-    H = constant.design(gravity_integrals(lat, height, seconds)[0])
-    H[:, VEL], H[:, START] = -_EYE, -_EYE
-    book, moved = take(book, config, row, seconds, z, H, z, _NONE, config.sway, PUSHED)
+    seconds, dt = float(row[A_T]), float(row[A_T] - before[A_T])
+    u = gravity_integrals(lat, height, seconds)[1] - gravity_integrals(lat, height, seconds - dt)[1]
+    H = constant.design(u / dt)
+    went = (swung(row) - swung(before)) / dt
+    z, arm = went[0:3], went[3:12].reshape(3, 3)
+    H -= constant.meanwhile(change(before, row))
+    H[:, START], H[:, LEVER] = -_EYE, arm
+    bare = np.column_stack([z, arm])
+    book, moved = take(book, config, row, seconds - 0.5 * dt, bare, H, z, _NONE, STEADY * config.sway, PUSHED)
     state = state._replace(book=book, instant=seconds + spread(book.taken, *INSTANT_S))
     return _taken(state, moved, "m/s", False, True)
 
@@ -153,7 +172,8 @@ def _instant(state: Sway, row: Vector) -> Taken[Sway]:
 def _taken(state: Sway, moved: float, unit: str, twice: bool, vectors: bool) -> Taken[Sway]:
     assert state.book is not None
     if moved > 0.0:
-        return state, f"the base was pushed or moves, or a gyro failed: {moved:.3f} {unit} in an epoch"
+        failed = "the base was pushed or moves, or a gyro or accelerometer failed"
+        return state, f"{failed}: {1e3 * moved:.1f} m{unit} in an epoch"
     if not state.book.settled:
         return _waiting(state), None
     return _solve(state, twice, vectors, False)
@@ -190,6 +210,7 @@ def _solve(state: Sway, twice: bool, vectors: bool, done: bool) -> Taken[Sway]:
     if solved is None:
         reason = f"{seconds:.0f} s do not tell north in this sway" if done else None
         return _waiting(state), reason
+    solved = solved._replace(P=state.book.doubt * solved.P)
     C_gb, P_phi = attitude_now(solved, row, lat, lat, 0.0)
     part = progress(state.config, seconds)
     status = AlignStatus(quat_from_dcm(C_gb), P_phi, state.status.limit, part, done)
