@@ -137,7 +137,8 @@ class Imu:
 class Odometer:
     """A wheel encoder on the rear axle: ticks counted up in either direction, direction, standstill.
 
-    Where there is an ``rng`` the distance it rolls walks off by ``walk`` m per root of a metre.
+    Where there is an ``rng`` the distance it rolls walks off by ``walk`` m per root of a metre, and the wheel
+    stands anywhere between two ticks at first; without one, at a tick.
     """
 
     def __init__(
@@ -152,7 +153,7 @@ class Odometer:
         self._profile = trajectory.profile
         self._ticks_per_m = (1.0 + scale_error) / m_per_tick
         self._faults = faults
-        self._turned = 0.0
+        self._turned = 0.0 if rng is None else m_per_tick * float(rng.random())
         self._walk = walk
         self._rng = rng
 

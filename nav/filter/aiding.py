@@ -43,7 +43,7 @@ class Aiding:
         self._path_ns = 0
         self._start_ns = 0
         self._end_ns: int | None = None
-        self._fresh = 1.0  # 0: the open interval begins where the last one ended
+        self._fresh = 1.0  # 0: the open interval begins with the part of a tick that the last one ended with
         self._distance = 0.0
         self._duration = 0.0
 
@@ -110,9 +110,13 @@ class Aiding:
         distance = self._distance * duration / self._duration
         walk = config.odometer_walk * math.sqrt(abs(distance))
         sigma = math.hypot(config.odometer_sigma * duration, walk)
-        z = np.array([0.0, duration, distance, sigma, _UNIFORM * config.odometer_quantum, self._fresh])
+        # one that counts no tick tells nothing of the part of a tick at either end: a wheel that stands may
+        # do so anywhere between two
+        rolled = distance != 0.0
+        fresh = self._fresh if rolled else 1.0
+        z = np.array([0.0, duration, distance, sigma, _UNIFORM * config.odometer_quantum, fresh])
         self._timeline.measure("odometer", s.t_ns, z)
-        self._fresh = 0.0
+        self._fresh = 0.0 if rolled else 1.0
         self._sideways(s.t_ns, duration)
         self._start_ns = s.t_ns
         self._distance = self._duration = 0.0

@@ -182,7 +182,8 @@ def odometer(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out: Vec
     """Distance since the last odometer epoch.
 
     ``z``: tau, duration (s), distance (m), sigma (m) of what is white in it, of the part of a tick that any
-    count leaves out (m), and 1 where the interval does not begin with the last one's end, 0 where it does.
+    count leaves out (m), and 1 where nothing is known of that part at the beginning, 0 where it is what the
+    last interval left out.
 
     What the count leaves out at the end of an interval is missing in the next one: the parts at both ends
     enter, and the one at the beginning is correlated with the state that was corrected with it. It is

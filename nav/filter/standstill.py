@@ -21,8 +21,11 @@ class Rest:
     rate_b: Vector
 
 
-_AFTER_NS: Final = 250_000_000
-"""A wheel that starts stands this long by its own account: it counts no tick, and its speed is too small."""
+_AFTER_NS: Final = 750_000_000
+"""A wheel that starts stands this long by its own account: it counts no tick, and its speed is too small.
+
+A start that reaches 20 m/s in ten seconds, smoothly, is below 5 mm/s for that long. What it rolls
+meanwhile is many times the sigma of a good standstill, and always forward: a bias."""
 _FACTOR: Final = 1.25  # of the standard deviation of single samples that the alignment saw at rest
 _LEAST_RATE: Final = 1e-3  # rad/s: no axis need be quieter than this,
 _LEAST_FORCE: Final = 0.02  # m/s^2, nor this

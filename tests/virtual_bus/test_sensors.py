@@ -189,6 +189,18 @@ def test_odometer_ticks_are_the_distance(ride):
     assert not np.array(still)[np.abs(speed) > 0.1].any()
 
 
+def test_a_wheel_stands_anywhere_between_two_ticks_at_first(ride):
+    t = np.array([0, 5_900_000_000], np.int64)
+    rolled = float(ride.profile.distance(t)[-1]) / 0.02
+    ticks = np.array(
+        [Odometer(ride, 0.02, 0.0, NONE, 0.0, generator(k, "wheel")).block(t)[0][0] for k in range(400)]
+    )
+    # one more than whole ticks in as many cases as there is of a tick left
+    part = rolled % 1.0
+    assert set(ticks) == {math.floor(rolled), math.ceil(rolled)}
+    assert ticks.mean() == pytest.approx(rolled, abs=5.0 * math.sqrt(part * (1.0 - part) / 400.0))
+
+
 def test_a_slipping_wheel_turns_too_far(ride):
     slip = WheelSlip(start_s=15.0, duration_s=2.0, factor=1.5)
     t = np.arange(0, 40_000_000_001, 20_000_000)

@@ -9,6 +9,7 @@ from nav.align.types import NavInit
 from nav.filter.settings import ImuErrors, NavigatorConfig
 from nav.filter.standstill import Standstill
 from nav.types import OdoSample
+from virtual_bus.manoeuvres import Blend, Profile
 
 CONFIG = NavigatorConfig(ImuErrors(1e-5, 1e-3, 1e-5, 1e-3))
 REST = np.array([0.01, 0.002, 0.002]), np.array([0.05, 0.3, 0.05])  # an engine at idle
@@ -74,12 +75,13 @@ def test_a_smooth_ride_is_no_standstill():
     assert not stands(CONFIG, INIT, *REST, speed=0.6)
 
 
-@pytest.mark.parametrize(("starts_ms", "rested"), [(1260, False), (1280, True)])
+@pytest.mark.parametrize(("starts_ms", "rested"), [(1760, False), (1780, True)])
 def test_a_wheel_must_stand_for_a_while_after_an_interval(starts_ms, rested):
-    """A start begins below what a wheel can tell: the last quarter of a second before it shows is no rest."""
+    """A start begins below what a wheel can tell: the last three quarters of a second before it shows are no
+    rest."""
     watch = Standstill(CONFIG, INIT)
     found = []
-    for t_ms in range(20, 1600, 20):
+    for t_ms in range(20, 2100, 20):
         sample = OdoSample(t_ms * 1_000_000, 0.02, 0.0, t_ms < starts_ms, "odo")
         found.append(watch.odometer(sample))
         if t_ms == 1000:
@@ -87,3 +89,24 @@ def test_a_wheel_must_stand_for_a_while_after_an_interval(starts_ms, rested):
             rest[0], rest[1] = 0.5, 50
             assert watch.interval(1_000_000_000, rest, np.zeros(3), 0.1) is None
     assert [r.end_ns for r in found if r is not None] == ([1_000_000_000] if rested else [])
+
+
+@pytest.mark.parametrize(("speed", "seconds"), [(12.0, 8.0), (16.0, 9.0), (20.0, 10.0)])
+def test_no_rest_ends_while_a_smooth_start_creeps(speed, seconds):
+    """The virtual wheel shows a start at 5 mm/s. Whenever intervals end, the last that counts as a rest ends
+    at less than the 20 um/s to which a standstill of the bench is believed: none pulls at the velocity."""
+    start_ns = 10_000_000_000
+    profile = Profile([Blend(10.0), Blend(seconds, speed=speed)])
+    for phase_ns in range(0, 500_000_000, 40_000_000):
+        watch = Standstill(CONFIG, INIT)
+        ends = []
+        for t_ns in range(20_000_000, start_ns + 3_000_000_000, 20_000_000):
+            v = float(profile.speed(np.array([t_ns]))[0])
+            found = [watch.odometer(OdoSample(t_ns, 0.02, 0.0, v < 0.005, "odo"))]
+            if (t_ns - phase_ns) % 500_000_000 == 0:
+                rest = np.zeros(14)
+                rest[0], rest[1] = 0.5, 50
+                found.append(watch.interval(t_ns, rest, np.zeros(3), 0.1))
+            ends += [r.end_ns for r in found if r is not None]
+        assert ends[-1] > start_ns - 1_000_000_000
+        assert profile.speed(np.array(ends)).max() < 20e-6
