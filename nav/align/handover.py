@@ -6,7 +6,7 @@ import numpy as np
 
 from nav.align.types import NavInit
 from nav.earth import ecef, position_quat, xyz_to_geodetic
-from nav.rotation import quat_rotate
+from nav.rotation import quat_rotate, skew
 from nav.types import Vector
 
 Place = tuple[float, float, float]
@@ -47,6 +47,17 @@ def hand_over(
         sigma_mounting=sigma_mounting,
         P=P,
     )
+
+
+def under_antenna(P: Vector, l_g: Vector) -> Vector:
+    """Covariance (15, 15) of an IMU whose place is `imu_place` of an antenna's, as `NavInit` has it.
+
+    ``P`` (15, 15) has the antenna's place. A wrong attitude turns the lever arm ``l_g`` (3,) m, so that place
+    and attitude err together: phi x l is added to what is computed.
+    """
+    T = np.eye(15)
+    T[0:3, 6:9] = skew(l_g)  # errors of place are true minus estimate
+    return np.asarray(T @ P @ T.T)
 
 
 def imu_place(antenna: Place, l_g: Vector) -> Place:

@@ -19,7 +19,7 @@ import numpy as np
 
 from nav.align import still as watch
 from nav.align.drift import FEWEST
-from nav.align.handover import Place, hand_over, imu_place
+from nav.align.handover import Place, hand_over, imu_place, under_antenna
 from nav.align.still import Block, Own, Standing, Still
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import EARTH_RATE, earth_rate_g, gravity_g, normal_gravity
@@ -257,7 +257,7 @@ def coarse_finish(state: Coarse) -> NavInit:
     place = place_of(config, still)
     assert place is not None
     C, P = attitude(config, still, place[0], place[2])
-    return nav_init(config, still.t_ns, place, sigma_of_place(config, still), C, np.zeros(12), P)
+    return nav_init(config, still.t_ns, place, sigma_of_place(config, still), C, np.zeros(12), P, True)
 
 
 def analytic_finish(state: Coarse) -> NavInit:
@@ -272,8 +272,11 @@ def sigma_of_place(config: AlignConfig, still: Still) -> Vector:
 
 def at_its_place(config: AlignConfig, still: Still, given: NavInit) -> NavInit:
     """``given`` with the place of the IMU instead of the antenna's."""
-    (lat, lon, height), sigma_p = standing_at(config, given, still, dcm_from_quat(given.q_gb))
-    return replace(given, lat=lat, lon=lon, height=height, sigma_p=sigma_p)
+    assert given.P is not None
+    C = dcm_from_quat(given.q_gb)
+    (lat, lon, height), _ = standing_at(config, given, still, C)
+    P = _beside_antenna(config, given.P, C)
+    return replace(given, lat=lat, lon=lon, height=height, sigma_p=np.sqrt(np.diag(P)[0:3]), P=P)
 
 
 def nav_init(
@@ -284,13 +287,24 @@ def nav_init(
     C: Vector,
     x: Vector,
     P12: Vector,
+    antenna: bool = False,
 ) -> NavInit:
-    """Hand over a standing IMU: ``C`` (3, 3) is C_gb, ``x`` (12,) and ``P12`` as in `coarse_covariance`."""
+    """Hand over a standing IMU: ``C`` (3, 3) is C_gb, ``x`` (12,) and ``P12`` as in `coarse_covariance`.
+
+    ``sigma_p`` (3,) m is the antenna's; ``antenna``: so is the ``place`` still, for `at_its_place`.
+    """
     P = np.zeros((15, 15))
     P[0:3, 0:3] = np.diag(sigma_p**2)
     P[3:15, 3:15] = P12
+    if not antenna:
+        P = _beside_antenna(config, P, C)
     mounting = None if config.C_vb is None else np.full(3, config.sigma_mounting)
     return hand_over(t_ns, place, np.zeros(3), quat_from_dcm(C), x[6:12], P, config.C_vb, mounting)
+
+
+def _beside_antenna(config: AlignConfig, P: Vector, C: Vector) -> Vector:
+    """``P`` (15, 15) of the IMU where it is the antenna's; a place from the configuration is the IMU's."""
+    return P if config.position is not None else under_antenna(P, C @ config.gnss_lever_arm)
 
 
 def standing_at(config: AlignConfig, given: NavInit, still: Still, C: Vector) -> tuple[Place, Vector]:

@@ -203,7 +203,7 @@ def finish(state: Coarse) -> NavInit:
     P, x = np.zeros((12, 12)), np.zeros(12)
     P[0:3, 0:3] = _EYE * config.sway**2
     P[3:, 3:], x[6:] = found.P, found.biases
-    given = nav_init(config, still.t_ns, place, sigma_of_place(config, still), found.C, x, P)
+    given = nav_init(config, still.t_ns, place, sigma_of_place(config, still), found.C, x, P, True)
     return at_its_place(config, still, given)
 
 
