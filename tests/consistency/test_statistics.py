@@ -43,6 +43,23 @@ def test_a_common_error_is_a_bias():
     assert not found.passed
 
 
+def test_signs_drawn_anew_tell_a_bias_from_chance():
+    error, covariance = drawn(5)
+    honest = consistency(np.arange(EPOCHS), error, covariance)
+    sigma = np.sqrt(np.einsum("nkii->nki", covariance))
+    biased = consistency(np.arange(EPOCHS), error + 0.5 * sigma, covariance)
+    # of 360 independent means 5 % lie outside, give or take 1.1 %; means of square one quarter more than one
+    # lie in a band of 1.96 sigma / 1.12 = 1.75 sigma: 92 %
+    assert honest.chance == pytest.approx((0.95, 0.93), abs=0.01)
+    assert biased.chance[0] == pytest.approx(0.92, abs=0.01)
+    assert biased.bias_inside < 0.1
+    # where all epochs of a run say the same, nine means are all there is, and one of them outside is a ninth
+    same = np.repeat(error[:, :1], EPOCHS, axis=1), np.repeat(covariance[:, :1], EPOCHS, axis=1)
+    crowd = consistency(np.arange(EPOCHS), *same)
+    assert crowd.chance[0] == pytest.approx(0.95, abs=0.02)
+    assert crowd.chance[1] == pytest.approx(7.0 / 9.0, abs=0.01)
+
+
 def test_the_band_holds_what_it_says():
     rng = np.random.default_rng(3)
     means = rng.chisquare(3, size=(20_000, 8)).mean(axis=1)
