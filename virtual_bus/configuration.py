@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from virtual_bus.devices import FRAME_NS
 from virtual_bus.ellipsoid import G0
-from virtual_bus.grades import ARCSEC, DEG_PER_H, UG, Grade, ImuErrors
+from virtual_bus.grades import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, UG, Grade, ImuErrors
 from virtual_bus.scenario import DeviceTable, Scenario
 from virtual_bus.truth import CRAB_SHORTEST, mounting_matrix
 
@@ -32,10 +32,11 @@ class Wiring:
 
 
 _STAMPS_M_S: Final = 0.003
-"""Stamps of the wheel come in steps of 0.1 ms: so much at 15 m/s over the 0.2 s that ticks are gathered."""
-_ROAD_M_S: Final = 1e-4
-"""The simulated wheels never leave the road. What is left is of the gyros: their noise turns the lever arm
-to the wheels."""
+"""Stamps of the wheel come in steps of 0.1 ms: so much at 15 m/s over the time that ticks are gathered."""
+_TICKS_S: Final = 0.2
+"""So long ticks are gathered, and the road is held against the path meanwhile."""
+_SHARP_RAD_S: Final = 0.5
+"""A sharp turn: 90 degrees in seven seconds at its quickest."""
 _ALIGN_MARGIN_S: Final = 4.0
 _COARSE_S: Final = 60.0
 _FINE_S: Final = 240.0
@@ -60,6 +61,16 @@ def imu_errors(grade: Grade) -> dict[str, float]:
         "accel_axes_ppm": accel_axes,
         "correlation_s": grade.correlation_s,
     }
+
+
+def off_road_m_s(grade: Grade, arm_m: float) -> float:
+    """What wheels that never leave the road seem to leave it by, m/s in the mean of an interval of ticks.
+
+    It is of the gyros, which turn the lever arm to the wheels (m): their noise, and what calibration has left
+    of their misalignment in a sharp turn.
+    """
+    noise = grade.gyro_random_walk_deg_per_sqrt_h * DEG_PER_SQRT_H / math.sqrt(_TICKS_S)
+    return arm_m * math.hypot(noise, grade.gyro_misalignment_arcsec * ARCSEC * _SHARP_RAD_S)
 
 
 def alignment_s(rest_s: float, total: float | None = None) -> tuple[float, float]:
@@ -154,7 +165,7 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         f"mounting_deg = {mounting}",
         f"mounting_sigma_deg = {v.mounting_sigma_deg!r}",
         f"non_holonomic = {str(s.navigator.non_holonomic).lower()}",
-        f"non_holonomic_sigma_m_s = {_ROAD_M_S!r}",
+        f"non_holonomic_sigma_m_s = {max(1e-6, off_road_m_s(wiring.grade, math.hypot(*v.imu_m)))!r}",
         # white over longer distances than its shortest wave
         f"sideways_walk_m_per_sqrt_m = {math.radians(v.crab_deg) * math.sqrt(0.5 * CRAB_SHORTEST)!r}",
         *(f"{key} = {_vector(C_bv @ (place - imu_at))}" for key, place in arms.items()),
