@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from bridge.errors import ConfigError
 from bridge.options import NavigatorOptions
 from bridge.strict import unknown, wrong
 from nav.align import ALIGNMENTS, AlignConfig, lack
-from nav.filter.settings import align_config
+from nav.filter.settings import align_config, sensors_align
 from nav.navigator import ImuErrors, Navigator, NavigatorConfig
 from nav.rotation import dcm_from_euler, quat_from_dcm
 from nav.strapdown.azimuth import AZIMUTH_LAWS
@@ -66,7 +67,7 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         expected = "a device among its devices that provides baro"
         raise ConfigError(f"{config.file}: {key}.height_channel: found no barometer, expected {expected}")
     C_vb = _mounting(options)
-    errors = _imu_errors(options)
+    errors = imu_errors(options)
     quantum = max(
         (getattr(config.devices[device], "m_per_tick", 0.0) for device in kinds.get("odometer", [])),
         default=0.0,
@@ -163,7 +164,8 @@ def _mounting(options: NavigatorOptions) -> Vector | None:
     return dcm_from_euler(heading, pitch, roll)
 
 
-def _imu_errors(options: NavigatorOptions) -> ImuErrors:
+def imu_errors(options: NavigatorOptions) -> ImuErrors:
+    """What a navigator is told of its sensors, in SI."""
     table = options.imu_errors
     return ImuErrors(
         angle_random_walk=table.gyro_random_walk_deg_per_sqrt_h * _DEG_PER_SQRT_H,
@@ -206,11 +208,8 @@ def _align(
         level, azimuth = (sigma * _DEG for sigma in table.known_attitude_sigma_deg)
         q_gb = quat_from_dcm(dcm_from_euler(ahead, pitch, roll) @ C_vb)
         attitude = (q_gb, np.array([level, level, azimuth]))
-    return AlignConfig(
-        gyro_bias=math.hypot(imu.gyro_bias, imu.gyro_instability),
-        accel_bias=math.hypot(imu.accel_bias, imu.accel_instability),
-        angle_random_walk=imu.angle_random_walk,
-        velocity_random_walk=imu.velocity_random_walk,
+    return replace(
+        sensors_align(imu),
         coarse_s=table.coarse_s,
         fine_s=table.fine_s,
         position=position,

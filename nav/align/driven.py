@@ -27,15 +27,17 @@ from nav.align.fit import (
     VELOCITY_FLOOR,
     Fit,
     Window,
+    carried,
+    ended,
     fit_heading,
     local,
-    skew,
+    pulled,
 )
 from nav.align.level import level_dcm, rotate_heading
 from nav.align.mounting import COURSE_NOISE, SLIP_LEVER, SLOWEST
 from nav.align.preintegrate import P_ACCEL, P_GYRO, R_GYRO, V_ACCEL, V_GYRO, P, R, V, empty, running
 from nav.earth import earth_rate_g, gravity_g
-from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, skew
 from nav.types import SpeedSample, Vector
 
 Indices = NDArray[np.intp]
@@ -44,6 +46,7 @@ FEWEST_SPEEDS: Final = 5
 SAME_INSTANT_NS: Final = 20_000_000
 LONGEST_BRIDGE_NS: Final = 2_500_000_000
 TURNS: Final = 12
+UNMODELLED: Final = math.radians(0.1)  # rad
 _ROUGH: Final = 0.3  # m/s: sigma of the first, linear fit
 _G, _A, _V0, _P0, _Y = slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 15), slice(15, 17)
 
@@ -83,8 +86,7 @@ def solve_driven(window: Window) -> Fit | None:
     C, y, bias = coarse
 
     g, w_ie = gravity_g(fixes[0].lat, fixes[0].height), earth_rate_g(fixes[0].lat)
-    known_v = t[:, None] * g - 2.0 * np.cross(w_ie, position) + 0.5 * t[:, None] ** 2 * np.cross(w_ie, g)
-    known_p = 0.5 * t[:, None] ** 2 * g + t[:, None] ** 3 / 6.0 * np.cross(w_ie, g)
+    known_v, known_p = pulled(t, position, np.gradient(position, t, axis=0), g, w_ie)
     claimed = np.array([f.sigma_position for f in fixes])
     sigma_p = np.hypot(
         np.where(np.isfinite(claimed) & (claimed > 0.0), claimed, UNSTATED_SIGMA), POSITION_FLOOR
@@ -158,7 +160,23 @@ def solve_driven(window: Window) -> Fit | None:
             break
     running(pieces, x[0:3], x[3:6], rows)
     trusted = float(np.max(np.abs(delta[0:3]))) < 1e-2
-    return Fit(C, x, cov[0:12, 0:12], formal, rows.copy(), trusted, y, basis[1:].T @ cov[_Y, _Y] @ basis[1:])
+    J = carried(C, rows[-1])
+    end = J @ cov[0:12, 0:12] @ J.T
+    # what the window's straight sensors and a vehicle's own axis leave out
+    end[0:3, 0:3] += np.eye(3) * UNMODELLED**2
+    end[9:12, 9:12] += np.eye(3) * VELOCITY_FLOOR**2
+    forward_cov = basis[1:].T @ cov[_Y, _Y] @ basis[1:]
+    return Fit(
+        C,
+        x,
+        rows,
+        *ended(C, x, rows[-1], known_v[-1], position[-1], w_ie),
+        end,
+        formal,
+        trusted,
+        y,
+        forward_cov,
+    )
 
 
 def _basis(y: Vector) -> Vector:

@@ -26,6 +26,9 @@ TURN_RATE: Final = math.radians(1.5)  # mean rate over a fix interval that is no
 TILT: Final = 0.03  # of g: a change of mean specific force that is not a standstill
 REMEMBER_S: Final = 60.0  # a longer standstill forgets: the bias of a warming sensor drifts
 MOST_WAITING: Final = 500  # fixes without a verdict
+SETTLED_NS: Final = (
+    2_000_000_000  # before the last fix at rest: a vehicle that drives off is not seen to at once
+)
 MOVING_S: Final = 3.0  # seconds of motion looked at when there was no standstill
 _ZERO: Final = np.zeros(3)
 
@@ -111,7 +114,7 @@ def _with_fix(state: Level, fix: GnssFix) -> Level:
     # what lies before this fix, with a fix at rest on either side, was at rest
     state = replace(state, moving=False)
     left = list(waiting)
-    while left and left[0].end_ns <= fix.t_ns:
+    while left and left[0].end_ns <= fix.t_ns - SETTLED_NS:
         if _disturbed(state, left[0]):
             if sum(float(chunk.piece[DT]) for chunk in left) < state.config.rest_s:
                 # driving off, or a push: what was averaged before holds, and the gyros carry it on
@@ -202,6 +205,7 @@ def finish(state: Level) -> NavInit:
     """Attitude at the last inertial sample, heading arbitrary with a sigma that says so."""
     config, fix = state.config, state.fix
     assert fix is not None
+    g = normal_gravity(math.sin(fix.lat), fix.height)
     total = empty()
     parts = (*state.waiting, state.open)
     rested = state.seconds >= min(1.0, config.rest_s)
@@ -209,17 +213,22 @@ def finish(state: Level) -> NavInit:
         C = level_dcm(state.force)
         up_b = C[2]
         bias = state.rate - EARTH_RATE * math.sin(fix.lat) * up_b
+        # as the sensors' noise has it, or as it was seen to scatter where that is more
         scatter = state.rate_m2 / max(1, state.chunks * (state.chunks - 1))
+        noise = np.maximum(scatter, config.angle_random_walk**2 / state.seconds)
         # the level part of Earth rate points nobody knows where
         unseen = 0.5 * (EARTH_RATE * math.cos(fix.lat)) ** 2
-        var = scatter + config.angle_random_walk**2 / state.seconds + unseen + (0.02 * config.gyro_bias) ** 2
+        wander = config.gyro_walk**2 * (state.seconds / 3.0 + sum(float(part.piece[DT]) for part in parts))
+        var = noise + unseen + wander
         # a sensor better than that unseen part is believed more than the standstill
         weight = config.gyro_bias**2 / (config.gyro_bias**2 + var)
-        bias, sigma_bias = weight * bias, np.sqrt(weight * var)
         for part in parts:
+            # all that was seen at rest, the Earth's turning too: the level stays level
             extend(total, part.piece, bias, _ZERO)
         after = float(total[DT])
-        level_var = (config.accel_bias / 9.8) ** 2 + (float(np.max(sigma_bias)) * after) ** 2
+        walked = float(np.max(noise)) * after**2 + config.angle_random_walk**2 * after
+        level_var = (config.accel_bias / g) ** 2 + walked
+        bias, sigma_bias = weight * bias, np.sqrt(weight * var)
         mounting: Vector | None = C if config.C_vb is None else config.C_vb
     else:
         force = np.sum([part.dv for part in parts], axis=0)
@@ -232,7 +241,6 @@ def finish(state: Level) -> NavInit:
     known = config.C_vb is not None
     slope = 0.0 if known else config.slope
     end_ns = max(part.end_ns for part in parts)
-    g = normal_gravity(math.sin(fix.lat), fix.height)
     level_var += (config.velocity_random_walk / g) ** 2 / max(1.0, state.seconds)
     return NavInit(
         t_ns=end_ns,

@@ -7,19 +7,20 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field, replace
-from typing import Final
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from nav.align.driven import solve_driven
-from nav.align.fit import POSITION_FLOOR, VELOCITY_FLOOR, Epoch, Fit, Window, local, skew, solve, velocities
+from nav.align.fit import POSITION_FLOOR, VELOCITY_FLOOR, Epoch, Fit, Window, carried, solve, velocities
 from nav.align.level import UNKNOWN_HEADING
+from nav.align.match_filter import turned_by
 from nav.align.mounting import Mounting, find_mounting, mounting_from_axis
-from nav.align.preintegrate import DT, R_GYRO, SIZE, V_ACCEL, V_GYRO, P, R, V, empty, extend, sample_piece
+from nav.align.preintegrate import DT, SIZE, P, R, V, empty, extend, sample_piece
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import convergence, earth_rate_g, ecef, gravity_g, position_quat, xyz_to_geodetic
-from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_multiply, quat_rotate
+from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec, quat_rotate
 from nav.types import GnssFix, ImuFlag, ImuSample, Sample, SpeedSample, Vector
 
 LONGEST_SILENCE: Final = 10.0  # s without a fix before starting again
@@ -27,25 +28,22 @@ SOLVE_EVERY: Final = 0.5  # s
 FEWEST_FIXES: Final = 5
 LONGEST_WINDOW_FIXES: Final = 400
 MOUNTING_LIMIT: Final = math.radians(4.0)
-LEVEL_LOST: Final = 0.3  # rad
 SPEED_EVERY_NS: Final = 90_000_000  # more is not kept
 SPEED_BEFORE_NS: Final = 3_000_000_000  # of the window's first fix
-UNMODELLED: Final = math.radians(0.1)  # rad: what the window's straight sensors leave out
 _ZERO: Final = np.zeros(3)
-_EYE: Final = np.eye(3)
 
 
-@dataclass(frozen=True, slots=True)
-class Match:
+class Match(NamedTuple):
     """State of the stage."""
 
     window: Window
     status: AlignStatus
+    pending: deque[ImuSample]
+    imu_ns: int
+    last_ns: int  # the last fix taken, or the hand-over
+    rate: Vector  # (3,) rad/s of gyros that do not turn in g
     started: bool = False  # the window has its first fix
-    pending: deque[ImuSample] = field(default_factory=deque)
     queue: tuple[GnssFix, ...] = ()
-    imu_ns: int = 0
-    last_ns: int = 0  # the last fix taken, or the hand-over
     solved_ns: int = 0
     fit: Fit | None = None
     mounting: Mounting | None = None
@@ -54,10 +52,8 @@ class Match:
 def init(config: AlignConfig, given: NavInit | None) -> Match:
     """Begin from levelling's result."""
     assert given is not None
-    tilt = float(given.P_phi[0, 0]) - (config.accel_bias / 9.8) ** 2
-    sigma = math.sqrt(max(tilt, math.radians(0.1) ** 2))
-    window = Window(config, given, given.q_gb, sigma)
-    return Match(window, _status(window, None, None), imu_ns=given.t_ns, last_ns=given.t_ns)
+    window = Window(config, given, empty())
+    return Match(window, _status(window, None, None), deque(), given.t_ns, given.t_ns, given.gyro_bias)
 
 
 def step(state: Match, sample: Sample) -> tuple[Match, AlignStatus]:
@@ -68,15 +64,19 @@ def step(state: Match, sample: Sample) -> tuple[Match, AlignStatus]:
         if (sample.t_ns - state.last_ns) * 1e-9 > LONGEST_SILENCE:
             return _refuse(state, f"no GNSS fix for {LONGEST_SILENCE:.0f} s while aligning in motion")
         state.pending.append(sample)
-        state = replace(state, imu_ns=sample.t_ns)
+        status = state.status
+        if status.estimate is not None:
+            now = turned_by(status.estimate, sample.dtheta, state.rate, sample.dt)
+            status = status._replace(estimate=now)
+        state = state._replace(imu_ns=sample.t_ns, status=status)
     elif isinstance(sample, GnssFix):
-        state = replace(state, queue=(*state.queue, sample)[-16:])
+        state = state._replace(queue=(*state.queue, sample)[-16:])
     elif isinstance(sample, SpeedSample):
-        state = replace(state, window=_with_speed(state.window, sample))
+        state = state._replace(window=_with_speed(state.window, sample))
     while state.queue and state.queue[0].t_ns <= state.imu_ns:
-        fix, state = state.queue[0], replace(state, queue=state.queue[1:])
+        fix, state = state.queue[0], state._replace(queue=state.queue[1:])
         if fix.t_ns > state.last_ns:
-            state = replace(_close(state, fix), last_ns=fix.t_ns)
+            state = _close(state, fix)._replace(last_ns=fix.t_ns)
     return state, state.status
 
 
@@ -99,18 +99,25 @@ def _close(state: Match, fix: GnssFix) -> Match:
     window = replace(window, epochs=(*window.epochs, Epoch(fix, piece, rate)))
     if not state.started:
         # bring the level attitude from the hand-over to the first fix
-        return replace(state, started=True, window=_shift(window))
+        return state._replace(started=True, window=_shift(window))
     while len(window.epochs) > LONGEST_WINDOW_FIXES or _seconds(window.epochs) > window.config.window_s:
         window = _shift(replace(window, epochs=window.epochs[1:]))
-    state = replace(state, window=window)
+    state = state._replace(window=window)
     if len(window.epochs) < FEWEST_FIXES or (fix.t_ns - state.solved_ns) * 1e-9 < SOLVE_EVERY:
         return state
     # a receiver's velocity shows more than a speed; without it speeds are far better than positions alone
     driven = window.speeds and any(e.fix.v_g is None for e in window.epochs)
     fit = solve_driven(window) if driven else solve(window)
     mounting = None if fit is None else _mounting(window, fit)
-    status = _status(window, fit, mounting)
-    return replace(state, solved_ns=fix.t_ns, fit=fit, mounting=mounting, status=status)
+    status, rate = _status(window, fit, mounting), state.rate
+    if fit is not None and status.estimate is not None:
+        # what it says holds for the last sample
+        rate = window.given.gyro_bias + fit.x[0:3] + fit.C_end.T @ earth_rate_g(fix.lat)
+        now = status.estimate
+        for sample in state.pending:
+            now = turned_by(now, sample.dtheta, rate, sample.dt)
+        status = status._replace(estimate=now)
+    return state._replace(solved_ns=fix.t_ns, fit=fit, mounting=mounting, status=status, rate=rate)
 
 
 def _seconds(epochs: tuple[Epoch, ...]) -> float:
@@ -118,11 +125,10 @@ def _seconds(epochs: tuple[Epoch, ...]) -> float:
 
 
 def _shift(window: Window) -> Window:
-    """Carry the level attitude over the first epoch's piece, whose end becomes the window's start."""
-    piece = window.epochs[0].piece
-    q = quat_multiply(window.q_hb, quat_from_dcm(piece[R].reshape(3, 3)))
-    drift = float(np.max(window.given.sigma_gyro_bias)) * float(piece[DT])
-    return replace(window, q_hb=q, level_sigma=min(LEVEL_LOST, window.level_sigma + drift))
+    """Carry what was given over the first epoch's piece, whose end becomes the window's start."""
+    before = window.before.copy()
+    extend(before, window.epochs[0].piece, _ZERO, _ZERO)
+    return replace(window, before=before)
 
 
 def _cut(pending: deque[ImuSample], t_ns: int, gyro_bias: Vector) -> tuple[Vector, Vector]:
@@ -190,11 +196,11 @@ def _status(window: Window, fit: Fit | None, mounting: Mounting | None) -> Align
     mounted = config.C_vb is not None or (
         mounting is not None and float(mounting.sigma[2]) < max(MOUNTING_LIMIT, 1.5 * config.sigma_heading)
     )
-    end = fit.rows[-1]
-    J = _end_jacobian(fit, end)[6:9]
+    first, last = window.epochs[0].fix, window.epochs[-1].fix
+    turned = _about_up(float(convergence(first.lat, first.lon, last.lat, last.lon)))
     return AlignStatus(
-        estimate=quat_from_dcm(_attitude(fit, end, window.epochs[-1].fix.lat)) if fit.trusted else None,
-        covariance=J @ fit.cov @ J.T + _EYE * UNMODELLED**2,
+        estimate=quat_from_dcm(turned @ fit.C_end) if fit.trusted else None,
+        covariance=turned @ fit.cov[0:3, 0:3] @ turned.T,
         limit=np.array([level, level, fit.formal]),
         progress=min(1.0, config.sigma_heading / sigma) * (1.0 if mounted else 0.9),
         done=fit.trusted and sigma < config.sigma_heading and mounted,
@@ -204,110 +210,29 @@ def _status(window: Window, fit: Fit | None, mounting: Mounting | None) -> Align
 def finish(state: Match) -> NavInit:
     """Carry the fit to the last inertial sample."""
     fit, window = state.fit, state.window
-    config, given, epochs = window.config, window.given, window.epochs
+    config, given = window.config, window.given
     assert fit is not None
-    dbg, dba, v0 = fit.x[0:3], fit.x[3:6], fit.x[6:9]
-    last = epochs[-1].fix
-    total_fix, total = fit.rows[-1], fit.rows[-1].copy()
-    after = empty()
-    piece = np.empty(SIZE)
-    rate = epochs[-1].rate
-    C_fix = fit.C @ total[R].reshape(3, 3)
+    first, last = window.epochs[0].fix, window.epochs[-1].fix
+    after, piece = empty(), np.empty(SIZE)
     for sample in state.pending:
-        sample_piece(sample.dtheta, sample.dv, sample.dt, given.gyro_bias + dbg, dba, piece)
+        sample_piece(sample.dtheta, sample.dv, sample.dt, given.gyro_bias + fit.x[0:3], fit.x[3:6], piece)
         extend(after, piece, _ZERO, _ZERO)
-        extend(total, piece, _ZERO, _ZERO)
-    g, w_ie = gravity_g(last.lat, last.height), earth_rate_g(last.lat)
-    T, dt = float(total[DT]), float(after[DT])
-    C_end = _attitude(fit, total, last.lat)
-    V_g = fit.C @ total[V]
-    moved = local([epochs[0].fix, last])[1]
-    v = v0 + V_g + T * g - 2.0 * np.cross(w_ie, moved) + 0.5 * T**2 * np.cross(w_ie, g)
-    l_g = C_fix @ config.gnss_lever_arm
-    if last.v_g is not None and last.sigma_velocity is not None:
-        # the fit runs through many fixes; the last one says it directly, and the better of the two is kept
-        sigma_fit = np.sqrt(np.diag(_velocity_covariance(fit, total)))
-        sigma_fix = np.hypot(last.sigma_velocity, VELOCITY_FLOOR)
-        since = (total_fix[V] - fit.rows[-2][V]) / (total_fix[DT] - fit.rows[-2][DT])
-        aged = config.gnss_velocity_age * (fit.C @ since + g)
-        said = velocities([epochs[0].fix, last])[1]
-        v_fix = said + aged - C_fix @ np.cross(rate, config.gnss_lever_arm) + C_fix @ after[V] + dt * g
-        v = np.where(sigma_fix < sigma_fit, v_fix, v)
-    v_before = v - C_fix @ after[V] - dt * g
-    step_g = v_before * dt + C_fix @ after[P] + 0.5 * dt**2 * g - l_g
+    g, w_ie, dt = gravity_g(last.lat, last.height), earth_rate_g(last.lat), float(after[DT])
+    C = dcm_from_quat(quat_from_rotvec(-dt * w_ie)) @ fit.C_end @ after[R].reshape(3, 3)
+    v = fit.v_end + fit.C_end @ after[V] + dt * (g - 2.0 * np.cross(w_ie, fit.v_end))
+    step_g = fit.v_end * dt + fit.C_end @ after[P] + 0.5 * dt**2 * g - fit.C_end @ config.gnss_lever_arm
     # all of this is along east and north as they were at the window's first fix
-    first = epochs[0].fix
     step_g = _about_up(float(convergence(first.lat, first.lon, last.lat, last.lon))) @ step_g
     q_eg = position_quat(last.lat, last.lon)
     place = xyz_to_geodetic(*(ecef(last.lat, last.lon, last.height) + quat_rotate(q_eg, step_g)))
     turned = _about_up(float(convergence(first.lat, first.lon, place[0], place[1])))
-    return _hand_over(state, fit, total, C_end, v, place, turned)
-
-
-def _attitude(fit: Fit, total: Vector, lat: float) -> Vector:
-    """C_gb (3, 3) at the end of ``total``: the gyros carry it on, and the Earth turns under it."""
-    turn = dcm_from_quat(quat_from_rotvec(-float(total[DT]) * earth_rate_g(lat)))
-    return np.asarray(turn @ fit.C @ total[R].reshape(3, 3))
-
-
-def _about_up(angle: float) -> Vector:
-    """Components (3, 3) along axes whose bearings are larger by ``angle`` rad."""
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _velocity_covariance(fit: Fit, total: Vector) -> Vector:
-    J = _end_jacobian(fit, total)[3:6]
-    cov: Vector = J @ fit.cov @ J.T
-    return cov
-
-
-def _end_jacobian(fit: Fit, total: Vector) -> Vector:
-    """Errors at the end (15: position zero, velocity, phi, biases) from the fit's (12).
-
-    The fit's are phi at the start of the window, biases, and the velocity there.
-    """
-    J = np.zeros((15, 12))
-    J[3:6, 0:3] = -skew((fit.C @ total[V])[None])[0]
-    J[3:6, 3:6] = fit.C @ total[V_GYRO].reshape(3, 3)
-    J[3:6, 6:9] = fit.C @ total[V_ACCEL].reshape(3, 3)
-    J[3:6, 9:12] = np.eye(3)
-    J[6:9, 0:3] = np.eye(3)
-    J[6:9, 3:6] = fit.C @ total[R].reshape(3, 3) @ total[R_GYRO].reshape(3, 3)
-    J[9:15, 3:9] = np.eye(6)
-    return J
-
-
-def _hand_over(
-    state: Match,
-    fit: Fit,
-    total: Vector,
-    C: Vector,
-    v: Vector,
-    place: tuple[float, float, float],
-    turned: Vector,
-) -> NavInit:
-    """What `finish` gives; ``turned`` (3, 3) takes axes of ``C``, ``v``, ``fit`` to those at ``place``."""
-    window = state.window
-    config, given, last = window.config, window.given, window.epochs[-1].fix
-    J = _end_jacobian(fit, total)
-    for part in (slice(0, 3), slice(3, 6), slice(6, 9)):
-        J[part] = turned @ J[part]
-    cov = J @ fit.cov @ J.T
-    sigma_p = np.hypot(np.asarray(last.sigma_position), POSITION_FLOOR)
-    floor = np.full(3, VELOCITY_FLOOR)
-    if last.sigma_velocity is not None:
-        floor = np.hypot(floor, last.sigma_velocity)
-    # what is not modelled goes on top: a floor, uncorrelated
-    cov[0:3, 0:3] += np.diag(sigma_p**2)
-    cov[3:6, 3:6] += np.diag(floor**2)
-    cov[6:9, 6:9] += _EYE * UNMODELLED**2
-    sigma = np.sqrt(np.diag(cov))
     if config.C_vb is not None:
         C_vb, sigma_mounting = config.C_vb, np.zeros(3)
     else:
         assert state.mounting is not None
         C_vb, sigma_mounting = state.mounting.C_vb, state.mounting.sigma
+    cov = _covariance(fit, after, turned, last)
+    sigma = np.sqrt(np.diag(cov))
     return NavInit(
         t_ns=state.imu_ns,
         lat=place[0],
@@ -328,6 +253,26 @@ def _hand_over(
         rest_rate=given.rest_rate,
         rest_force=given.rest_force,
     )
+
+
+def _about_up(angle: float) -> Vector:
+    """Components (3, 3) along axes whose bearings are larger by ``angle`` rad."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _covariance(fit: Fit, after: Vector, turned: Vector, last: GnssFix) -> Vector:
+    """(15, 15) as `NavInit` has it, of the last fix's position, ``after`` it.
+
+    ``turned`` (3, 3) takes axes of ``fit`` to those there.
+    """
+    J = np.zeros((15, 12))
+    J[[*range(6, 15), *range(3, 6)]] = carried(fit.C_end, after)
+    for part in (slice(3, 6), slice(6, 9)):
+        J[part] = turned @ J[part]
+    cov: Vector = J @ fit.cov @ J.T
+    cov[0:3, 0:3] = np.diag(np.hypot(np.asarray(last.sigma_position), POSITION_FLOOR) ** 2)
+    return cov
 
 
 MATCH: Final = Stage(init=init, step=step, finish=finish)

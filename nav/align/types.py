@@ -76,6 +76,9 @@ class AlignConfig:
 
     ``gyro_bias`` rad/s, ``accel_bias`` m/s^2: standard deviation of the constant error of one sensor that
     is left after compensation; ``angle_random_walk`` rad/sqrt(s), ``velocity_random_walk`` m/s/sqrt(s).
+    What motion shows: ``gyro_scale``, ``accel_scale`` (1), errors of scale, and ``gyro_axes``, ``accel_axes``
+    (1), what input along one axis puts into each other one; ``gyro_walk`` rad/s/sqrt(s), ``accel_walk``
+    m/s^2/sqrt(s), by which constant errors wander.
     ``coarse_s``, ``fine_s``: durations of a static alignment. ``position`` (lat rad, lon rad, height m)
     replaces a GNSS position where given, and is good to ``sigma_position`` m. ``sway`` m/s: rms velocity of
     a standing vehicle with its engine and the wind. ``gnss_lever_arm`` (3,) m from IMU to antenna in b;
@@ -92,7 +95,8 @@ class AlignConfig:
 
     ``odometer_lever_arm`` (3,) m from IMU to the odometer's point in b; ``odometer_quantum`` m of a tick;
     ``odometer_scale`` (1) standard deviation of its scale factor; ``sigma_mounting`` rad: how far ``C_vb`` is
-    to be trusted; ``slip`` m/s: standard deviation of the velocity across the vehicle on a straight road.
+    to be trusted; ``slip`` m/s: standard deviation of the velocity across the vehicle on a straight road,
+    to which `nav.align.rolled.road` adds what speed and level acceleration do.
     """
 
     gyro_bias: float
@@ -120,6 +124,12 @@ class AlignConfig:
     odometer_scale: float = 0.01
     sigma_mounting: float = math.radians(0.1)
     slip: float = 0.02
+    gyro_scale: float = 0.0
+    gyro_axes: float = 0.0
+    accel_scale: float = 0.0
+    accel_axes: float = 0.0
+    gyro_walk: float = 0.0
+    accel_walk: float = 0.0
 
 
 State = TypeVar("State")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -163,16 +163,36 @@ class NavigatorConfig:
         return st.FULL if imu.gyro_scale or imu.accel_scale or imu.gyro_axes or imu.accel_axes else st.BASIC
 
 
-def align_config(config: NavigatorConfig) -> AlignConfig:
-    """The alignment's configuration."""
-    if config.align is not None:
-        return config.align
-    imu = config.imu
+def sensors_align(imu: ImuErrors) -> AlignConfig:
+    """What an alignment must know about the sensors, and its own defaults for all else."""
     return AlignConfig(
         gyro_bias=math.hypot(imu.gyro_bias, imu.gyro_instability),
         accel_bias=math.hypot(imu.accel_bias, imu.accel_instability),
         angle_random_walk=imu.angle_random_walk,
         velocity_random_walk=imu.velocity_random_walk,
+        gyro_scale=imu.gyro_scale,
+        gyro_axes=imu.gyro_axes,
+        accel_scale=imu.accel_scale,
+        accel_axes=imu.accel_axes,
+        gyro_walk=math.sqrt(wander(imu.gyro_instability, imu.gyro_bias_time)),
+        accel_walk=math.sqrt(wander(imu.accel_instability, imu.accel_bias_time)),
+    )
+
+
+def wander(sigma: float, seconds: float) -> float:
+    """Variance per second of the random walk that a Markov process of steady ``sigma`` is in the short run.
+
+    A bias is a constant and a part that wanders; one state for both must not decay.
+    """
+    return 2.0 * sigma**2 / seconds
+
+
+def align_config(config: NavigatorConfig) -> AlignConfig:
+    """The alignment's configuration."""
+    if config.align is not None:
+        return config.align
+    return replace(
+        sensors_align(config.imu),
         gnss_lever_arm=config.gnss_lever_arm,
         gnss_velocity_age=config.gnss_velocity_age,
         C_vb=config.C_vb,
@@ -202,10 +222,8 @@ def parameters(config: NavigatorConfig) -> Vector:
     q = p[st.P_Q : st.P_Q + st.ALL]
     q[st.VELOCITY] = imu.velocity_random_walk**2
     q[st.PHI] = imu.angle_random_walk**2
-    # a bias is a constant and a part that wanders; one state for both must not decay, so the wandering
-    # part is the random walk that a Markov process of that steady sigma is in the short run
-    q[st.GYRO_BIAS] = 2.0 * imu.gyro_instability**2 / imu.gyro_bias_time
-    q[st.ACCEL_BIAS] = 2.0 * imu.accel_instability**2 / imu.accel_bias_time
+    q[st.GYRO_BIAS] = wander(imu.gyro_instability, imu.gyro_bias_time)
+    q[st.ACCEL_BIAS] = wander(imu.accel_instability, imu.accel_bias_time)
     q[st.ODO_SCALE] = config.odometer_scale_walk**2
     q[st.MOUNTING] = config.mounting_walk**2 if config.C_vb is None or config.sigma_mounting > 0.0 else 0.0
     q[st.BARO_BIAS] = config.baro_wander**2
