@@ -97,9 +97,12 @@ def poor_gyros(config: AlignConfig, lat: float, seconds: float) -> str | None:
     )
 
 
-def contradiction(e: constant.Estimate, solved: Solved, config: AlignConfig, lat: float) -> str | None:
-    """What the nine elements contradict, in words, or None: the latitude, gravity, or the base's rest.
+def contradiction(
+    e: constant.Estimate, solved: Solved, config: AlignConfig, lat: float, else_: str = "the base is moved"
+) -> str | None:
+    """What the nine elements contradict, in words, or None: the latitude, a sensor, or what ``else_`` says.
 
+    They show that one of these is wrong, and not which: a gyro that fails turns gravity as a latitude does.
     Biases far from what they were said to be contradict as well: a wrong latitude is taken for one first.
     """
     biases = (solved.x[EPS] / max(config.gyro_bias, IDEAL), solved.x[NAB] / max(config.accel_bias, IDEAL))
@@ -114,14 +117,15 @@ def contradiction(e: constant.Estimate, solved: Solved, config: AlignConfig, lat
         size = float(np.linalg.norm(v))
         out.append((size, math.sqrt(float(v @ H @ e.P @ H.T @ v)) / size))
     (gravity, sigma_gravity), (turn, sigma_turn) = out
+    causes = f"the latitude, a gyro or an accelerometer is wrong, or {else_}"
     if abs(gravity - 1.0) > max(LATITUDES, 5.0 * sigma_gravity):
         return (
             f"specific force is {gravity:.4f} of gravity: an accelerometer is stuck or badly calibrated, "
-            "or the base is moved"
+            f"a gyro failed, or {else_}"
         )
     if abs(turn - 1.0) > 5.0 * sigma_turn or abs(gravity - 1.0) > 5.0 * sigma_gravity:
         return (
             f"gravity is {gravity:.5f} of, and turns {turn:.3f} times as fast as, that at latitude "
-            f"{math.degrees(lat):.2f} deg: latitude or calibration are wrong, or the base is moved"
+            f"{math.degrees(lat):.2f} deg: {causes}"
         )
-    return "gravity does not turn as it does here: latitude or calibration are wrong, or the base is moved"
+    return f"gravity does not turn as it does here: {causes}"

@@ -7,7 +7,8 @@ one: zero. Where a receiver gives no velocity its positions are compared instead
 lasting error estimated.
 
 With stops the sensors limit heading as at rest. Without, the receiver does: velocities of 0.1 m/s leave 0.07
-deg after 330 s of a winding road and 0.13 of a straight one, where the sensors alone leave 0.025.
+deg after 330 s of a winding road and 0.13 of a straight one, where the sensors alone leave 0.025. The limit
+that is told is that of both, on the motion made so far.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from nav.align.apparent import (
 from nav.align.apparent_rest import Rest, standing, stopped
 from nav.align.apparent_result import attitude_now, contradiction, handed, poor_gyros, velocity_now
 from nav.align.apparent_stage import Taken, blank, due, duration, progress, stepping, without_place
-from nav.align.constant import OFFSET, POS, START, VEL, WHEEL, Estimate, Solved
+from nav.align.constant import MAT, OFFSET, POS, START, THETA, VEL, WHEEL, Estimate, Solved
 from nav.align.epochs import SETTLE_S
 from nav.align.handover import Place, imu_place
 from nav.align.static import PATIENCE_S
@@ -73,6 +74,7 @@ class Drive(NamedTuple):
     odd: int = 0
     solved: Solved | None = None
     status: AlignStatus | None = None
+    best: Estimate | None = None  # what could be known by now, see `_best`
     w_in_g: Vector = _ZERO  # rad/s, with the velocity of the last epoch
     v_g: Vector = _ZERO
     place: Place = (0.0, 0.0, 0.0)  # of the antenna at the last epoch
@@ -94,18 +96,31 @@ def _begin(state: Drive, sample: ImuSample) -> Taken[Drive]:
     far = np.full(3, sigma + float(np.linalg.norm(config.gnss_lever_arm)) + PATIENCE_S)
     start = (fix.lat, fix.lon, fix.height)
     path = inertial(*start)
+    # the place at the beginning, a constant, takes the states that an odometer would use
+    estimate = constant.begin(config, START_SPEED, sigma, far)
     state = state._replace(
         track=track,
         path=path,
-        # the place at the beginning, a constant, takes the states that an odometer would use
-        estimate=constant.begin(config, START_SPEED, sigma, far),
+        estimate=estimate,
         row=track.row.copy(),
         rest=Rest(since=0.0, place=path.r_0),
         status=blank(config, start),
+        best=_best(estimate),
         # there and back: compiled now, not when it ends
         place=imu_place(start, _ZERO),
     )
     return state, poor_gyros(config, fix.lat, duration(config))
+
+
+def _best(begun: Estimate) -> Estimate:
+    """The same, of which the rotation is known but for one small turn, which may be anything.
+
+    That is linear, so its covariance is the least that any method can have (Cramer, Rao) with this receiver,
+    these sensors and the motion that was made: what the nine free elements give away is not in it.
+    """
+    P = begun.P.copy()
+    P[MAT, MAT], P[THETA, THETA] = 0.0, math.pi**2 * _EYE
+    return begun._replace(P=P)
 
 
 def _aid(state: Drive, sample: Sample) -> Taken[Drive]:
@@ -160,6 +175,7 @@ def _epoch(state: Drive, track: Tracker, row: Vector, t_ns: int, fix: GnssFix) -
     assert last is not None
     assert old is not None
     assert state.estimate is not None
+    assert state.best is not None
     seconds = float(row[A_T])
     dt = seconds - float(old[A_T])
     if dt < SPACING_S:
@@ -178,6 +194,7 @@ def _epoch(state: Drive, track: Tracker, row: Vector, t_ns: int, fix: GnssFix) -
         v_i = turn(seconds) @ (position_matrix(place[0], since) @ fix.v_g) + spin(r)
     walk = 2.0 / LASTS_S * float(fix.sigma_position[0]) ** 2 * _EYE
     e = constant.predict(state.estimate, change(old, row), config, walk, LASTS_S)
+    best = constant.predict(state.best, change(old, row), config, walk, LASTS_S)
     settled = seconds > SETTLE_S
     rest, quiet = stopped(state.rest, old, row, turn(seconds).T @ r, fix)
     if quiet:
@@ -185,6 +202,7 @@ def _epoch(state: Drive, track: Tracker, row: Vector, t_ns: int, fix: GnssFix) -
         quiet = not settled or constant.innovation(e, H, z, R).chi2 < ODD
         if quiet:
             e = constant.update(e, H, z, R)
+            best = constant.update(best, H, z, R)
     lever = config.gnss_lever_arm
     if v_i is not None:
         assert fix.sigma_velocity is not None
@@ -200,13 +218,14 @@ def _epoch(state: Drive, track: Tracker, row: Vector, t_ns: int, fix: GnssFix) -
         z = row[A_P : A_P + 3] + (attitude(row) - _EYE) @ lever
         sigma = fix.sigma_position * math.sqrt(FLEETING)
     R, noise = _round(row, sigma)
-    state = state._replace(path=path, estimate=e, row=row, rest=rest, place=place)
+    state = state._replace(path=path, estimate=e, best=best, row=row, rest=rest, place=place)
     if settled and constant.innovation(e, H, z, R).chi2 > ODD:
         return _odd(state, "GNSS jumped: fixes contradict the accelerometers")
-    state = state._replace(estimate=constant.update(e, H, z, R, noise), fix=fix, odd=0)
+    best = constant.update(best, H, z, R)
+    state = state._replace(estimate=constant.update(e, H, z, R, noise), best=best, fix=fix, odd=0)
     if not settled:
         assert state.status is not None
-        return state._replace(status=state.status._replace(progress=_part(state))), None
+        return state._replace(status=state.status._replace(limit=_limit(state), progress=_part(state))), None
     return _solve(state, False)
 
 
@@ -264,6 +283,16 @@ def _part(state: Drive) -> float:
     return min(0.99, progress(state.config, float(state.row[A_T])))
 
 
+def _limit(state: Drive) -> Vector:
+    """What cannot be beaten: the level by the sensors, heading by the receiver as well."""
+    assert state.status is not None
+    assert state.best is not None
+    assert state.row is not None
+    up = state.row[A_V : A_V + 3] / np.linalg.norm(state.row[A_V : A_V + 3])
+    heading = math.sqrt(float(up @ state.best.P[THETA, THETA] @ up))
+    return np.append(state.status.limit[0:2], min(math.pi, heading))
+
+
 def _solve(state: Drive, done: bool) -> Taken[Drive]:
     row, e, path, old = state.row, state.estimate, state.path, state.status
     assert row is not None
@@ -273,16 +302,16 @@ def _solve(state: Drive, done: bool) -> Taken[Drive]:
     solved = constant.attitude_of_all(e)
     part = 1.0 if done else _part(state)
     if solved is None:
-        return state._replace(status=old._replace(progress=part)), None
+        return state._replace(status=old._replace(limit=_limit(state), progress=part)), None
     since = math.remainder(state.place[1] - path.lon, 2.0 * math.pi)
     C_gb, P_phi = attitude_now(solved, row, path.lat, state.place[0], since)
     v_b0, _ = _velocity(state, solved, row)
-    status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, part, done)
+    status = AlignStatus(quat_from_dcm(C_gb), P_phi, _limit(state), part, done)
     v_g = C_gb @ attitude(row).T @ v_b0
     lat, _, height = state.place
     w_in_g = earth_rate_g(lat) + transport_rate_g(lat, height, v_g)
     state = state._replace(solved=solved, status=status, v_g=v_g, w_in_g=w_in_g)
-    return state, contradiction(e, solved, state.config, path.lat)
+    return state, contradiction(e, solved, state.config, path.lat, "GNSS is off")
 
 
 def _velocity(state: Drive, solved: Solved, row: Vector) -> tuple[Vector, Vector]:
