@@ -73,10 +73,10 @@ class Case(NamedTuple):
     scene: str
     fault: str
 
-    def scenes(self, seed: int) -> Iterator[tuple[float, Scene]]:
-        """Every size of the fault, and what it makes of the scene."""
+    def scenes(self, seed: int, part: slice = slice(None)) -> Iterator[tuple[float, Scene]]:
+        """Sizes of the fault, all or a ``part``, and what each makes of the scene."""
         fault, sizes = FAULTS[self.fault]
-        for k, size in enumerate(sizes):
+        for k, size in list(enumerate(sizes))[part]:
             yield size, fault(SCENES[self.scene](seed), size, np.random.default_rng([seed, k]))
 
 
