@@ -30,6 +30,7 @@ from bridge.studies.alignment_truth import (
     merged,
     misalignment,
     road,
+    rough,
     sensed,
     stops,
     ticks,
@@ -194,10 +195,10 @@ def _driving(seed: int, dt: float = DT, *, name: str, kind: str, from_rest: bool
     t_ns = times(begin_s, seconds, dt)
     start = trajectory.state(int(t_ns[0]))
     config = replace(config, position=(start.lat, start.lon, start.height))
-    exact = trajectory.increments(t_ns)
+    exact = rough(rng, trajectory, t_ns, config.slip)
     samples, eps, nabla = sensed(rng, config, *exact, dt, imu.eps, imu.nabla, int(t_ns[0]))
     scale = 1.0 + ODO_SCALE * rng.standard_normal()
-    wheel = ticks(trajectory, times(begin_s - ODO_PHASE, seconds, ODO_DT), scale)
+    wheel = ticks(trajectory, times(begin_s - ODO_PHASE, seconds, ODO_DT), scale, rng=rng)
     return Scene(
         config, merged(samples, wheel), partial(_true, trajectory), eps, nabla, trajectory, int(t_ns[0])
     )

@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.signal import lfilter
 
 from nav.align.types import AlignConfig
 from nav.rotation import dcm_from_euler, dcm_from_quat, quat_from_dcm, rotvec_from_quat
@@ -27,6 +28,7 @@ Times = NDArray[np.int64]
 G: Final = G0
 LAT, LON, HEIGHT = math.radians(34.18), math.radians(108.9), 400.0
 TICK: Final = 0.08194  # m
+ROLL: Final = 0.003  # m per root of a metre that wheels roll
 ONSET_S: Final = 2.0  # in which a sway that begins comes to its full strength
 DELAY_NS: Final = 60_000_000  # of a fix
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -45,6 +47,7 @@ __all__ = [
     "merged",
     "misalignment",
     "road",
+    "rough",
     "sensed",
     "stops",
     "ticks",
@@ -256,9 +259,60 @@ def times(start_s: float, seconds: float, step_s: float) -> Times:
     return round(start_s * 1e9) + step * np.arange(round(seconds / step_s) + 1)
 
 
-def ticks(trajectory: Trajectory, t_ns: Times, scale: float = 1.0, tick: float = TICK) -> list[OdoSample]:
-    """Odometer samples between the times, in whole ticks."""
+def rough(
+    rng: np.random.Generator, trajectory: Trajectory, t_ns: Times, slip: float
+) -> tuple[Vector, Vector]:
+    """dtheta and dv (n - 1, 3) of an IMU on wheels that a road takes off their way.
+
+    They are those of `Trajectory.increments`, and of velocities to the right and upwards that ticks do not
+    show: of ``slip`` m/s on a straight road, half of that more for each m/s^2 of level acceleration, for
+    about a second; and of a quarter of it for each m/s of speed, for 12.5 m of way. They come to decimetres:
+    what these do to gravity and Earth's rate is left out.
+    """
+    dtheta, dv = trajectory.increments(t_ns)
+    value, first, _, _ = trajectory.profile.channels(t_ns)
+    speed = np.abs(value[:, 0])
+    level = np.hypot(first[:, 0], speed * first[:, 1])
+    v_v = np.zeros((len(t_ns), 3))
+    for sigma, over, lasts in (
+        (slip * np.hypot(1.0, 0.5 * level), 1e-9 * t_ns.astype(np.float64), 1.0),
+        (0.25 * slip * speed, trajectory.profile.distance(t_ns), 12.5),
+    ):
+        v_v[:, [0, 2]] += sigma[:, None] * _lasting(rng, over, lasts)
+    v_b = v_v @ trajectory.vehicle.C_vb
+    return dtheta, dv + np.diff(v_b, axis=0) + np.cross(dtheta, 0.5 * (v_b[1:] + v_b[:-1]))
+
+
+def _lasting(rng: np.random.Generator, over: Vector, lasts: float) -> Vector:
+    """Two processes (n, 2) of unit variance and first order, over time or way (n,).
+
+    What they do in ``lasts`` is on the average the same: twice that in which they decay.
+    """
+    step = 0.01 * lasts
+    keep = math.exp(-2.0 * step / lasts)
+    white = rng.standard_normal((math.ceil((over[-1] - over[0]) / step) + 2, 2))
+    white[1:] *= math.sqrt(1.0 - keep**2)
+    values = lfilter([1.0], [1.0, -keep], white, axis=0)
+    place = over[0] + step * np.arange(len(white))
+    return np.stack([np.interp(over, place, column) for column in values.T], axis=1)
+
+
+def ticks(
+    trajectory: Trajectory,
+    t_ns: Times,
+    scale: float = 1.0,
+    tick: float = TICK,
+    rng: np.random.Generator | None = None,
+) -> list[OdoSample]:
+    """Odometer samples between the times, in whole ticks.
+
+    With an ``rng`` the wheels begin anywhere between two, and count `ROLL` too much or too little on the way.
+    """
     rolled = trajectory.profile.distance(t_ns) * scale
+    if rng is not None:
+        error = ROLL * np.sqrt(np.diff(rolled)) * rng.standard_normal(len(rolled) - 1)
+        rolled[1:] += np.cumsum(error)
+        rolled = np.maximum.accumulate(rolled + rng.uniform(0.0, tick))
     whole = np.floor(rolled / tick)
     dt = float(t_ns[1] - t_ns[0]) * 1e-9
     distance = np.diff(whole) * tick

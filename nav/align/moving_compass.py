@@ -251,14 +251,17 @@ def _conclude(drive: Drive) -> str | None:
         assert drive.weights is not None
         angle, sigma, felt = drive.weights.north(earth.north)
         if sigma > KNOWN:
-            reason = f"heading is known to {math.degrees(sigma):.0f} deg only after the coarse azimuth"
+            known = (
+                f"known to {math.degrees(sigma):.0f} deg only" if sigma < 0.5 * math.pi else "not known yet"
+            )
+            reason = f"heading is {known} after the coarse azimuth"
         elif abs(felt / earth.north - 1.0) > FEELS + 6.0 * sigma:
             reason = (
                 f"levelled axes felt {felt / earth.north:.2f} of Earth's north rate: "
                 "calibration or latitude are wrong"
             )
         turn_about_up(course, angle)
-        open_book(course, drive.weights.P[VEL, VEL], drive.weights.P[TILT, TILT], sigma)
+        open_book(course, drive.weights.P[VEL, VEL], drive.weights.P[TILT, TILT], min(sigma, math.pi))
         drive.weights = None
     end_leg(course)
     kind = course.plan[course.leg].kind

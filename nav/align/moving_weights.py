@@ -25,6 +25,7 @@ import numpy as np
 
 from nav.align.compass_loop import SAMPLES
 from nav.align.disturbance import spread
+from nav.align.rolled import road
 from nav.align.types import AlignConfig
 from nav.jit import kernel
 from nav.rotation import quat_from_rotvec, quat_multiply, quat_rotate, skew
@@ -57,11 +58,6 @@ BLOCK_S: Final = 1.0
 WIDE_S: Final = (
     0.8  # by which blocks differ: at a steady speed ticks would else repeat themselves block by block
 )
-ROLL: Final = 0.003  # m per root of a metre: what the way gains or loses on a road
-# What moves a vehicle across: ``slip`` on a straight road, and by its speed and its level acceleration more.
-SIDEWAYS: Final = 0.5  # per m/s^2: of suspension and tyres, in units of it
-CRAB: Final = 0.25  # per m/s, likewise: camber, side wind, steering
-CRAB_WAY: Final = 12.5  # m over which that stays
 SIGMAS: Final = 6.0
 DOUBT: Final = 4.0
 OFTEN: Final = 0.1  # of the blocks: more than wheels slip
@@ -231,18 +227,21 @@ class Weights:
         config = self.config
         q = np.zeros(SIZE)
         q[VEL], q[TILT] = config.velocity_random_walk**2, config.angle_random_walk**2
-        rolled = abs(float(sums[_S_WAY + 1]))
-        q[WAY] = ROLL**2 * rolled / tau
+        level = math.hypot(sums[_S_F], sums[_S_F + 1]) / tau
+        across, along = road(config.slip, float(sums[_S_WAY + 1]) / tau, level)
+        q[WAY] = along**2
         Q = np.diag(q * (0.5 * tau))
         self.P = transition @ (self.P + Q) @ transition.T + Q
         self.way += float(sums[_S_WAY + 1])
         if path is not None:
             self.blocks += 1
             self.length = spread(self.blocks, BLOCK_S, WIDE_S)
-            self._update(sums, tau, np.eye(SIZE) - 0.5 * F, J / tau, M / tau, path - self.start)
+            noise = np.array([self.quantum, across / math.sqrt(tau), across / math.sqrt(tau)]) ** 2
+            self._update(sums, tau, np.eye(SIZE) - 0.5 * F, J / tau, M / tau, path - self.start, noise)
 
-    def _update(self, sums: Vector, tau: float, back: Vector, J: Vector, M: Vector, path: float) -> None:
-        config = self.config
+    def _update(
+        self, sums: Vector, tau: float, back: Vector, J: Vector, M: Vector, path: float, noise: Vector
+    ) -> None:
         speed = float(sums[_S_WAY + 1]) / tau
         H = np.zeros((3, SIZE))
         H[0, WAY], H[0, SCALE] = 1.0, -path
@@ -256,10 +255,6 @@ class Weights:
                 -sums[_S_WAY + 2] / tau + speed * self.mounting[0],
             ]
         )
-        level = math.hypot(sums[_S_F], sums[_S_F + 1]) / tau
-        crab = CRAB * math.sqrt(abs(speed) * max(abs(speed), CRAB_WAY / BLOCK_S))
-        across = config.slip * math.hypot(1.0, SIDEWAYS * level, crab) * math.sqrt(BLOCK_S / tau)
-        noise = np.array([self.quantum**2, across**2, across**2])
         error = np.zeros(SIZE)
         refused = False
         for k in range(3):

@@ -25,7 +25,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from nav.align import constant
+from nav.align import constant, latitude
 from nav.align.apparent import (
     A_P,
     A_T,
@@ -47,7 +47,7 @@ from nav.align.disturbance import Roughness
 from nav.align.epochs import Book, bring, take
 from nav.align.handover import Place, imu_place
 from nav.align.level import level_dcm
-from nav.align.rolled import Reckoning, gravity_change, transport
+from nav.align.rolled import Reckoning, gravity_change, road, transport
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import EARTH_RATE, earth_rate_g, ecef, position_matrix, xyz_to_geodetic
 from nav.rotation import quat_from_dcm
@@ -58,7 +58,6 @@ START_SPEED: Final = 50.0  # m/s
 PLACE: Final = 5.0  # m: what rolled before the first whole interval of the odometer
 FLOOR: Final = 0.002  # m, of an epoch
 SLIPPED: Final = 0.3  # m
-SLIP_S: Final = 1.0  # seconds that a slip across the vehicle lasts
 SLOW: Final = 8.0  # ticks of an epoch: fewer do not average out
 LOST_S: Final = 0.5  # s without odometer samples
 UNMOUNTED: Final = 0.1  # rad, of a mounting that is not given
@@ -223,8 +222,7 @@ def _epoch(state: Ride, mean: Mean, interval: float) -> Taken[Ride]:
     lately = (*state.lately[max(0, len(state.lately) - count) :], (z - curved, wheel))
     *others, bare = (told - rolled @ book.estimate.x[WHEEL] for told, rolled in lately)
     book = book._replace(rough=book.rough._replace(z=tuple(others)))
-    across = attitude(mean.row) @ state.axes[:, [0, 2]] * config.slip
-    walk = SLIP_S * across @ across.T + _phase(state, mean.row)
+    walk = _slip(state, mean.row) + _phase(state, mean.row)
     # at a steady speed ticks repeat, which looks smooth; a mean by squared sines of independent ones has
     # twice this variance, and what epochs on winding roads show is the half
     rolling = state.marks[-1] > state.marks[-2]
@@ -239,6 +237,28 @@ def _epoch(state: Ride, mean: Mean, interval: float) -> Taken[Ride]:
     return _solve(state, False)
 
 
+def _marks(state: Ride) -> tuple[float, ...]:
+    """What had rolled at the last four closings; an epoch lies between every other, its row in the middle.
+
+    The one before the first began with it.
+    """
+    return (*[0.0] * (4 - len(state.marks)), *state.marks)
+
+
+def _slip(state: Ride, row: Vector) -> Vector:
+    """By how much the road takes wheels off their way up to the epoch at ``row``: (3, 3) m^2/s, a walk."""
+    assert state.book is not None
+    before = state.book.row
+    seconds = float(row[A_T] - before[A_T])
+    marks = _marks(state)
+    up = _frame(state, row)[1][:, 2]
+    push = row[A_V : A_V + 3] - before[A_V : A_V + 3]
+    level = float(np.linalg.norm(push - up * (up @ push))) / seconds
+    across, along = road(state.config.slip, (marks[2] - marks[1]) / seconds, level)
+    axes = attitude(row) @ state.axes
+    return np.asarray(axes * [across**2, along**2, across**2] @ axes.T)
+
+
 def _phase(state: Ride, row: Vector) -> Vector:
     """By how much ticks shift the epoch at ``row`` against the one before: (3, 3) m^2/s of the offset's walk.
 
@@ -246,8 +266,7 @@ def _phase(state: Ride, row: Vector) -> Vector:
     that rolls is off by half a tick in the mean. So a start and a stop change the offset, once.
     """
     assert state.book is not None
-    # an epoch lies between every other closing; the one before the first began with it
-    marks = (*[0.0] * (4 - len(state.marks)), *state.marks)
+    marks = _marks(state)
     slow = min(marks[2] - marks[0], marks[3] - marks[1]) < SLOW * state.config.odometer_quantum
     if not slow or marks[3] == marks[0]:
         return np.zeros((3, 3))
@@ -277,17 +296,20 @@ def _solve(state: Ride, done: bool) -> Taken[Ride]:
     assert place is not None
     assert old is not None
     row = book.row
-    solved = constant.attitude_of_all(book.estimate)
-    if solved is None:
-        reason = f"{float(row[A_T]):.0f} s do not tell north on this road" if done else None
+    seconds = float(row[A_T])
+    once, _ = gravity_integrals(place[0], place[2], seconds)
+    since = math.remainder(state.now[1] - place[1], 2.0 * math.pi)
+    found = latitude.solve(book.estimate, place[0], C_i0g(place[0], state.now[0], since, seconds), once)
+    if found is None:
+        reason = f"{seconds:.0f} s do not tell north on this road" if done else None
         return _waiting(state), reason
+    solved, seen = found
     state = state._replace(solved=solved)
     now = _place(state, row)
     since = math.remainder(now[1] - place[1], 2.0 * math.pi)
     C_gb, P_phi = attitude_now(solved, row, place[0], now[0], since)
-    part = progress(state.config, float(row[A_T]))
-    status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, part, done)
-    reason = contradiction(book.estimate, solved, state.config, place[0])
+    status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, progress(state.config, seconds), done)
+    reason = contradiction(book.estimate, solved, state.config, place[0]) or latitude.contradiction(seen)
     return state._replace(status=status, now=now), reason
 
 
