@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from typing import TextIO
+from typing import Final, TextIO
 
 from bridge.live import Outcome
-from bridge.outputs import ModeChange, Output, Text, Transmit
+from bridge.outputs import ModeChange, Output, Progress, Text, Transmit
 from nav import jit
+
+_UNKNOWN_DEG: Final = 90.0
+_BEGUN: Final = 0.05
 
 
 class Printer:
-    """A sink that prints mode changes and texts as they come and sends nothing."""
+    """A sink that prints mode changes, texts and each quarter of an alignment, and sends nothing."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
+        self._last: dict[str, Progress] = {}
 
     def consume(self, outputs: Sequence[Output]) -> list[Transmit]:
         """Print what is for people among ``outputs``."""
@@ -24,7 +29,23 @@ class Printer:
                 print(change, file=self._stream, flush=True)
             elif isinstance(output, Text):
                 print(f"{output.severity.name.lower()}: {output.text}", file=self._stream, flush=True)
+            elif isinstance(output, Progress):
+                self._progress(output)
         return []
+
+    def _progress(self, progress: Progress) -> None:
+        """What begins, and how far it has come: whoever asks for another alignment is to see it begin."""
+        last = self._last.get(progress.navigator)
+        self._last[progress.navigator] = progress
+        if last is not None and last.method == progress.method:
+            # one that begins anew because it refused is told of by its refusal
+            anew = progress.fraction < min(last.fraction, _BEGUN) and progress.restarts <= last.restarts
+            if not anew and int(4.0 * progress.fraction) <= int(4.0 * last.fraction):
+                return
+        sigma = math.degrees(progress.sigma[2])
+        heading = f", heading to {sigma:.2g} deg" if sigma < _UNKNOWN_DEG else ""
+        done = f"{100.0 * progress.fraction:.0f} %{heading}"
+        print(f"{progress.navigator}: alignment {progress.method} {done}", file=self._stream, flush=True)
 
 
 def explain_wait(stream: TextIO) -> None:
