@@ -25,7 +25,7 @@ def test_a_wait_for_the_compiler_is_explained_once(tmp_path: Path, monkeypatch: 
 
 
 def told(*steps: tuple[str, float, int]) -> list[str]:
-    """What is printed of an alignment's method, fraction and restarts; half way its heading is good to 1 deg."""
+    """What is printed of method, fraction and restarts; from half way on heading is good to 1 deg."""
     said = io.StringIO()
     printer = Printer(said)
     for method, fraction, restarts in steps:
