@@ -23,6 +23,7 @@ class Reject(IntEnum):
     GATE = 7  # the innovation failed its chi-square test
     INVALID = 8  # the device itself marks the value as not valid
     SATURATED = 9
+    FOREIGN = 10  # from another unit than the calibration is for
 
 
 class Severity(IntEnum):

@@ -13,8 +13,10 @@ import can
 import numpy as np
 
 from virtual_bus import devices, faults, scenario
+from virtual_bus.arrangement import Arrangement
 from virtual_bus.configuration import Wiring, calibration_toml, config_toml
 from virtual_bus.devices import Device
+from virtual_bus.dither import CYCLE, Dither
 from virtual_bus.faults import AnyFault, BusFrame, Faults, Flood
 from virtual_bus.grades import GRADES, PPM, draw_imu
 from virtual_bus.scenario import DeviceTable, Scenario
@@ -125,7 +127,7 @@ class Bench:
 
     def calibration_toml(self) -> str:
         """The calibration sheet of this bench's IMU, as its maker would have measured it."""
-        return calibration_toml(self.imu_errors, self.grade)
+        return calibration_toml(self.imu_errors, self.grade, self.scenario.imu.inner_arms_mm)
 
     def files(self, interface: str, channel: str, mavlink_url: str | None = None) -> dict[str, str]:
         """Everything that `navbridge run` needs for this bench: file names and texts."""
@@ -160,12 +162,24 @@ class Bench:
             exponential=gnss,
         )
 
+    def _arrangement(self) -> Arrangement:
+        table = self.scenario.imu
+        dithers = None
+        if table.dither_hz is not None:
+            x, y, z = (round(1000.0 * frequency) for frequency in table.dither_hz)
+            a, b, c = generator(self.seed, "imu/dither").integers(0, CYCLE, 3).tolist()
+            dithers = (Dither(x, a), Dither(y, b), Dither(z, c))
+        arms = None if table.inner_arms_mm is None else 1e-3 * np.array(table.inner_arms_mm)
+        return Arrangement(dithers, arms)
+
     def _device_streams(self) -> Iterator[Iterator[BusFrame]]:
         s, trajectory, active = self.scenario, self.trajectory, self._faults
         noise = {name: generator(self.seed, name) for name in s.devices()}
         streams: dict[str, Iterator[BusFrame]] = {}
 
-        imu = Imu(trajectory, self.grade, self.imu_errors, noise["imu"], active)
+        imu = Imu(
+            trajectory, self.grade, self.imu_errors, noise["imu"], active, arrangement=self._arrangement()
+        )
         device = self._device("imu", s.imu, s.imu.rate_hz)
         streams["imu"] = devices.imu_frames(device, s.imu, imu, self.imu_errors.serial)
         if s.odometer is not None:

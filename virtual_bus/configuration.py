@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -81,8 +81,10 @@ def alignment_s(rest_s: float, total: float | None = None) -> tuple[float, float
     return coarse, min(_FINE_S, total - coarse)
 
 
-def calibration_toml(errors: ImuErrors, grade: Grade) -> str:
-    """The calibration sheet: what was measured of this unit, so not quite what it is."""
+def calibration_toml(
+    errors: ImuErrors, grade: Grade, arms_mm: Sequence[Sequence[float]] | None = None
+) -> str:
+    """The calibration sheet: what was measured of this unit, so not quite what it is; the arms are."""
     gyro, accel = errors.calibrated_gyro, errors.calibrated_accel
     lines = [
         "[device]",
@@ -100,6 +102,8 @@ def calibration_toml(errors: ImuErrors, grade: Grade) -> str:
         f"bias_ug = {_vector(accel.bias / UG)}",
         f"misalignment_arcsec = {_matrix((accel.axes - np.eye(3)) / ARCSEC)}",
     ]
+    if arms_mm is not None:
+        lines.append(f"lever_arm_mm = {_matrix(np.array(arms_mm))}")
     return "\n".join(lines) + "\n"
 
 
@@ -119,8 +123,11 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
     if mavlink_url is not None:
         lines += ["[source.telemetry]", 'type = "mavlink"', f"url = {_text(mavlink_url)}", ""]
     # frames of one sample follow each other; the drivers stamp the IMU's by the last of its three
-    last_ms = 0.0 if s.imu.fd else 2e-6 * FRAME_NS
+    before = (0 if s.imu.fd else 2) + (0 if s.imu.dither_hz is None else 1)
+    last_ms = 1e-6 * FRAME_NS * before
     imu = [f"calibration = {_text(wiring.calibration)}", f"rate_hz = {s.imu.rate_hz!r}"]
+    if s.navigator.whole_cycle is not None:
+        imu.append(f"whole_cycle = {_text(s.navigator.whole_cycle)}")
     lines += _device("imu", "imu_can", s.imu, imu, last_ms)
     if s.odometer is not None:
         lines += _device("odometer", "odometer_can", s.odometer, [f"m_per_tick = {s.odometer.m_per_tick!r}"])

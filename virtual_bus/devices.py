@@ -27,6 +27,7 @@ US: Final = 1_000
 UNIT_100_US: Final = 100_000
 SIGMA_POSITION_MAX: Final = 16.382
 SIGMA_VELOCITY_MAX: Final = 8.191
+LATCH_AGE_MAX_US: Final = 6553.5
 NO_FIX: Final = 1
 
 
@@ -110,13 +111,18 @@ def _warming(t_ns: Times) -> list[float]:
 
 
 def imu_frames(device: Device, table: ImuTable, imu: Imu, serial: int) -> Iterator[BusFrame]:
-    """IMU_GYRO, IMU_ACCEL, IMU_TIME per sample and IMU_STATUS at 10 Hz, or IMU_FD per sample."""
+    """IMU_GYRO, IMU_ACCEL, IMU_TIME per sample and IMU_STATUS at 10 Hz, or IMU_FD per sample.
+
+    Before them IMU_LATCH, of gyros that dither.
+    """
     messages = contract()
+    latch = messages["IMU_LATCH"]
     gyro, accel, time, status = (messages[m] for m in ("IMU_GYRO", "IMU_ACCEL", "IMU_TIME", "IMU_STATUS"))
     channel = table.channel
     fd = messages["IMU_FD"]
     alive = device.counter(fd.alive_modulus if table.fd else gyro.alive_modulus)
     status_alive = device.counter(status.alive_modulus)
+    latch_alive = device.counter(latch.alive_modulus)
     every = max(1, round(table.rate_hz / 10.0))
     sample = 0
     for block in device.blocks():
@@ -124,6 +130,7 @@ def imu_frames(device: Device, table: ImuTable, imu: Imu, serial: int) -> Iterat
             imu.restart()
             alive.restart()
             status_alive.restart()
+            latch_alive.restart()
             sample = 0
         counts, saturated = imu.block(block.t_ns)
         rows = zip(
@@ -135,8 +142,14 @@ def imu_frames(device: Device, table: ImuTable, imu: Imu, serial: int) -> Iterat
             _warming(block.t_ns[1:]),
             strict=True,
         )
-        for t, send, us, c, s, temperature in rows:
+        ages = imu.arrangement.ages(block.t_ns[1:])
+        told = None if ages is None else np.minimum(ages * 1e6, LATCH_AGE_MAX_US).tolist()
+        for k, (t, send, us, c, s, temperature) in enumerate(rows):
             sample += 1
+            if told is not None:
+                data = latch.encode(latch_alive.next(t), sample & 0xF, *told[k])
+                yield BusFrame(send, channel, latch.frame_id, data, False)
+                send += FRAME_NS
             a = alive.next(t)
             if table.fd:
                 data = fd.encode(a, *s, *c, sample & 0xFFFF, us & 0xFFFF_FFFF_FFFF, temperature, 0, 0, serial)

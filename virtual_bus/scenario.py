@@ -29,6 +29,7 @@ PACKAGED: Final = Path(__file__).parent / "scenarios"
 Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
 Rate = Annotated[float, Meta(ge=0.1, le=2000.0)]
+DitherHz = Annotated[float, Meta(ge=160.0, le=1000.0)]
 Three = tuple[float, float, float]
 Two = tuple[NotNegative, NotNegative]
 
@@ -92,10 +93,16 @@ class DeviceTable(Table):
 
 
 class ImuTable(DeviceTable):
-    """``[imu]``. Its clock starts 100 s before its 32-bit microseconds wrap."""
+    """``[imu]``. Its clock starts 100 s before its 32-bit microseconds wrap.
+
+    ``dither_hz`` of laser gyros: each is latched at whole cycles of its own. ``inner_arms_mm`` is where
+    each accelerometer sits, right, forward and up of the unit's origin.
+    """
 
     rate_hz: Rate = 200.0
     fd: bool = False
+    dither_hz: tuple[DitherHz, DitherHz, DitherHz] | None = None
+    inner_arms_mm: tuple[Three, Three, Three] | None = None
     clock_offset_s: NotNegative = 4194.967296
 
 
@@ -170,7 +177,8 @@ class NavigatorTable(Table):
     """``[navigator]``: what the bridge is told about this vehicle, and the frame it shows in polar waters.
 
     ``alignment`` is one that the bridge knows by that name; without ``autostart`` it waits for a command.
-    It may take ``alignment_s``, by default nearly as long as the vehicle rests at the start.
+    It may take ``alignment_s``, by default nearly as long as the vehicle rests at the start. Counts of gyros
+    that dither are corrected by its method ``whole_cycle``, or taken as they are.
     """
 
     alignment: str = "static"
@@ -178,6 +186,7 @@ class NavigatorTable(Table):
     autostart: bool = True
     find_mounting: bool = False
     non_holonomic: bool = True
+    whole_cycle: str | None = None
     polar: Literal["geographic", "grid", "transverse"] = "geographic"
 
 
@@ -338,6 +347,9 @@ def _check(file: str, scenario: Scenario) -> None:
             raise ScenarioError(
                 f'{file}: fault[{place}].device: found "{device}", expected one of {", ".join(devices)}'
             )
+    if scenario.navigator.whole_cycle is not None and scenario.imu.dither_hz is None:
+        found = scenario.navigator.whole_cycle
+        raise ScenarioError(f'{file}: navigator.whole_cycle: found "{found}", expected imu.dither_hz with it')
     try:
         # twice through: the repeated part must also follow itself
         scenario.profile(2.0 * sum(m.duration_s for m in scenario.manoeuvre))

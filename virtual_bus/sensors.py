@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_bus.arrangement import Arrangement
 from virtual_bus.ellipsoid import G0, axes_eg, axes_eh, to_geodetic
 from virtual_bus.faults import Faults, GnssJump, GnssOutage, GnssOutlier, StuckAccel, WheelSlip
 from virtual_bus.grades import DEG_PER_H, DEG_PER_SQRT_H, UG, Grade, ImuErrors
@@ -71,7 +72,7 @@ class Quantiser:
 
 
 class Imu:
-    """Three gyros and three accelerometers giving pulse counts."""
+    """Three gyros and three accelerometers giving pulse counts, arranged in some way."""
 
     def __init__(
         self,
@@ -81,8 +82,10 @@ class Imu:
         rng: np.random.Generator,
         faults: Faults,
         noise: bool = True,
+        arrangement: Arrangement | None = None,
     ) -> None:
         self._trajectory = trajectory
+        self.arrangement = arrangement or Arrangement()
         self._errors = errors
         self._rng = rng
         self._faults = faults
@@ -110,11 +113,9 @@ class Imu:
 
         A count beyond 16 bits is cut off and flagged, and the excess is lost, as in a real counter.
         """
-        dtheta, dv = self._trajectory.increments(t_ns)
-        dt = np.diff(t_ns)[:, None] * 1e-9
+        out, dt = self.arrangement.outputs(self._trajectory, self._errors, t_ns)
         gyro, accel = self._errors.gyro, self._errors.accel
-        out = np.concatenate((dtheta @ gyro.axes.T + dv @ gyro.g_sensitivity.T, dv @ accel.axes.T), axis=1)
-        before, after = self._instability.step(float(dt.sum()))
+        before, after = self._instability.step(float(dt[:, -1].sum()))
         place = ((np.arange(len(dt)) + 0.5) / len(dt))[:, None]
         bias = np.concatenate((gyro.bias, accel.bias)) + before + (after - before) * place
         out += bias * dt + self._random_walk * np.sqrt(dt) * self._rng.standard_normal(out.shape)

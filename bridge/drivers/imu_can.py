@@ -14,6 +14,7 @@ from bridge.drivers.can_frames import intact, repeated
 from bridge.drivers.counters import Counters
 from bridge.drivers.device_clock import ClockPort
 from bridge.drivers.imu_assembly import FRAME_BYTES, assemble, layout
+from bridge.drivers.imu_corrections import latches, size_effect
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
@@ -36,7 +37,8 @@ class ImuCanOptions(DeviceOptions, kw_only=True):
 
     ``latency_ms`` is from the end of a sample to the arrival of its first frame. ``bridge_samples`` is
     the longest gap that is filled from its neighbours; ``id_offset`` shifts every identifier, for
-    several units on one bus.
+    several units on one bus. ``whole_cycle``, for gyros that dither and say when they were latched, is how
+    their counts are corrected: a name of `nav.imu.whole_cycle.METHODS`.
     """
 
     files: ClassVar[tuple[str, ...]] = ("calibration",)
@@ -45,6 +47,7 @@ class ImuCanOptions(DeviceOptions, kw_only=True):
     rate_hz: Positive
     bridge_samples: Annotated[int, Meta(ge=0, le=100)] = 5
     id_offset: Annotated[int, Meta(ge=0, le=0x5FF)] = 0
+    whole_cycle: str | None = None
 
 
 class _Stream:
@@ -72,9 +75,12 @@ class ImuCan:
         self._name = context.name
         self._table = file.calibration.table()
         self._serial = file.serial
-        self._serial_checked = False
+        self._stranger: int | None = None  # what a unit said that the calibration is not for
+        self._foreign = False
         self._period_ns = 1e9 / options.rate_hz
         self._bridge = options.bridge_samples
+        self._latches = latches(options.whole_cycle, options.id_offset, context, self._counters)
+        self._size = size_effect(file.calibration)
 
         self._gyro_codec, self._accel_codec = context.message("IMU_GYRO"), context.message("IMU_ACCEL")
         self._time_codec, self._status_codec = context.message("IMU_TIME"), context.message("IMU_STATUS")
@@ -86,7 +92,8 @@ class ImuCan:
         self._fd_key = self._fd_codec.frame_id + offset
         self._status_key = self._status_codec.frame_id + offset
         keys = (self._gyro_key, self._accel_key, self._time_key, self._fd_key, self._status_key)
-        self.keys = [(context.source, key) for key in keys]
+        self._latch_key = -1 if self._latches is None else self._latches.key
+        self.keys = [(context.source, key) for key in (*keys, self._latch_key) if key >= 0]
 
         self._classic = _Stream(8, context.port(2**32 * 1000, options.latency_ms))
         self._fd = _Stream(16, context.port(2**48 * 1000, options.latency_ms))
@@ -143,6 +150,8 @@ class ImuCan:
                     return samples
         elif key == self._status_key:
             return self._feed_status(data)
+        elif self._latches is not None and key == self._latch_key:
+            return self._latches.feed(data)
         self._release()
         samples = self._single(key, data, rx_ns)
         if self._layout is not None:
@@ -250,11 +259,16 @@ class ImuCan:
         return ()
 
     def _check_serial(self, serial: int) -> None:
-        if self._serial_checked or self._serial is None:
+        """A unit that says twice that it is another one is not heard any more."""
+        if serial == self._serial or self._serial is None or self._foreign:
+            self._stranger = None
             return
-        self._serial_checked = True
-        if serial != self._serial:
-            self._counters.notes.append(f"serial number {serial}, but the calibration is for {self._serial}")
+        if serial == self._stranger:
+            self._foreign = True
+            self._counters.notes.append(
+                f"serial number {serial}, but the calibration is for {self._serial}: no sample is used"
+            )
+        self._stranger = serial
 
     def _sample(
         self,
@@ -270,6 +284,8 @@ class ImuCan:
         ``made`` is an interval with the increments over it, which are taken where it is the right one.
         """
         counters = self._counters
+        if self._foreign:
+            return counters.reject(Reject.FOREIGN)
         status, sample, time_us = head
         self._last_us = time_us
         last = self._last
@@ -307,11 +323,18 @@ class ImuCan:
             counters.reject(Reject.SATURATED)
 
         dt = interval * 1e-9
+        if steps > 1 or flags & _GAP:
+            self._restart()
+        if self._latches is not None:
+            self._latches.correct(sample, dt, counts)
+            made = None
         if made is None:
             made = (0.0, np.empty(3), np.empty(3))
         tau, dtheta, dv = made
         if dt != tau:
             compensate(self._table, counts, dt, dtheta, dv)
+        if self._size is not None:
+            self._size.take_off(dtheta, dv, dt)
 
         samples: list[ImuSample] = []
         if steps > 1 and last is not None:
@@ -327,6 +350,13 @@ class ImuCan:
         counters.samples += 1
         counters.last_ns = t_ns
         return samples
+
+    def _restart(self) -> None:
+        """The counts of samples before this one are lost."""
+        if self._latches is not None:
+            self._latches.restart()
+        if self._size is not None:
+            self._size.restart()
 
     def _steps(self, step: int, modulus: int, elapsed: int, engine_ns: int) -> int:
         """How many samples the device has taken since the last one; 0: its counter stands still."""

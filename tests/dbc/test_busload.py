@@ -132,7 +132,7 @@ def test_the_default_set_fits_one_megabit() -> None:
     assert sample["IMU_GYRO"] == sample["IMU_TIME"] == 1000.0
     assert sample["SOL_LAT"] == 50.0
     assert sample["ODO"] == 100.0
-    assert sample["SOL_REJECTS"] == 10.0
+    assert sample["SOL_REJECTS"] == 11.0
     assert "COMMAND" not in sample
     assert "IMU_FD" not in sample
 

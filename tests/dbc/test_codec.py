@@ -142,7 +142,8 @@ def test_a_frame_taken_for_another_message_is_found(name: str) -> None:
 def test_the_contract_of_identifiers() -> None:
     c = contract()
     expected = {
-        "IMU_GYRO": 0x100, "IMU_ACCEL": 0x101, "IMU_TIME": 0x102, "IMU_STATUS": 0x103, "IMU_FD": 0x110,
+        "IMU_GYRO": 0x100, "IMU_ACCEL": 0x101, "IMU_TIME": 0x102, "IMU_STATUS": 0x103, "IMU_LATCH": 0x104,
+        "IMU_FD": 0x110,
         "ODO": 0x120, "SPEED": 0x121, "BARO": 0x122,
         "GNSS_TIME": 0x130, "GNSS_LAT": 0x131, "GNSS_LON": 0x132, "GNSS_HEIGHT": 0x133, "GNSS_VEL": 0x134,
         "GNSS_ACC": 0x135, "COMMAND": 0x180, "COMMAND_ACK": 0x181,

@@ -241,14 +241,22 @@ def test_saturation_and_faults_are_flagged() -> None:
     assert rejects(imu) == {"SATURATED": 1}
 
 
-def test_a_wrong_serial_number_is_said_once() -> None:
+def test_another_unit_than_the_calibration_is_for_is_said_once_and_not_heard() -> None:
     imu = driver()
-    for k in range(3):
+    assert len(fed(imu, three(0))) == 1
+    for k in range(4):
         imu.feed(can("IMU_STATUS", k, 20.0, 0, 78))
-    assert imu.counters.notes == ["serial number 78, but the calibration is for 77"]
+    assert imu.counters.notes == ["serial number 78, but the calibration is for 77: no sample is used"]
+    assert fed(imu, [*three(1), *three(2)]) == []
+    assert rejects(imu) == {"FOREIGN": 2}
+
+
+def test_one_status_alone_with_another_serial_number_is_not_believed() -> None:
     imu = driver()
-    imu.feed(can("IMU_STATUS", 0, 20.0, 0, 77))
+    for k, serial in enumerate((77, 78, 77, 78, 77)):
+        imu.feed(can("IMU_STATUS", k, 20.0, 0, serial))
     assert imu.counters.notes == []
+    assert len(fed(imu, three(0))) == 1
 
 
 def test_shifted_identifiers() -> None:
