@@ -45,6 +45,19 @@ def whole(least: int, most: int | None = None) -> Callable[[str], int]:
     return read
 
 
+def site(text: str) -> tuple[float, ...]:
+    """Latitude in deg and height in m, and gravity in m/s^2 where it is known, with commas between."""
+    expected = "latitude in deg,height in m, and gravity in m/s^2 where it is known"
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise _wrong(text, expected) from None
+    inside = len(values) in (2, 3) and -90.0 <= values[0] <= 90.0 and -1000.0 <= values[1] <= 10_000.0
+    if not inside or not all(9.7 <= gravity <= 9.9 for gravity in values[2:]):
+        raise _wrong(text, expected)
+    return values
+
+
 def digest(text: str) -> str:
     """A SHA-256 as hexadecimal digits, in lower case."""
     if re.fullmatch("[0-9a-fA-F]{64}", text) is None:

@@ -14,9 +14,12 @@
     scale_ug_s_per_pulse = [50.0, 50.0, 50.0]
     bias_ug = [100.0, -50.0, 30.0]
     misalignment_arcsec = [[...], [...], [...]]
+    lever_arm_mm = [[...], [...], [...]]       # row: accelerometer; where it sits: right, forward, up
 
 A scale for negative counts (``scale_negative_...``) is given where it differs; ``axes`` (3 x 3, no unit)
-instead of a misalignment where the sensors are not along the axes at all.
+instead of a misalignment where the sensors are not along the axes at all. A file that
+``navbridge calibrate`` wrote says in ``[certificate]`` when and how it was measured, and in ``[sigma.gyro]``
+and ``[sigma.accel]`` how well every coefficient is known, under the coefficient's own key.
 """
 
 from __future__ import annotations
@@ -55,11 +58,12 @@ UNITS: Final[dict[str, dict[str, dict[str, float]]]] = {
         "bias": {"ug": 1e-6 * G, "mg": 1e-3 * G, "m_s2": 1.0},
         "misalignment": _ANGLE,
         "axes": {"": 1.0},
+        "lever_arm": {"m": 1.0, "mm": 1e-3},
     },
 }
 """Per sensor and quantity: the units its key may end in, and what they are in SI."""
 
-_MATRICES: Final = ("g_sensitivity", "misalignment", "axes")
+_MATRICES: Final = ("g_sensitivity", "misalignment", "axes", "lever_arm")
 
 
 class _Device(Table):
@@ -67,13 +71,39 @@ class _Device(Table):
     serial: int | None = None
 
 
+class Certificate(Table):
+    """``[certificate]``: when, where and how a calibration was made, and what was left.
+
+    ``residual_gyro_arcsec`` and ``residual_accel_mm_s`` are root mean squares over the plan's intervals.
+    ``chi2`` over ``freedom`` is about 1 where the residuals are those of the unit's noise; the sigmas are for
+    noise ``inflation`` times as large.
+    """
+
+    date: str
+    plan: str
+    plan_sha256: str
+    captures: list[str]
+    lat_deg: float
+    height_m: float
+    gravity_m_s2: float
+    temperature_deg_c: float
+    temperature_range_deg_c: tuple[float, float]
+    residual_gyro_arcsec: float
+    residual_accel_mm_s: float
+    chi2: float
+    freedom: int
+    inflation: float
+    made_by: str
+
+
 @dataclass(frozen=True)
 class CalibrationFile:
-    """What a calibration file says: which unit it is for, and the coefficients."""
+    """What a calibration file says: which unit it is for, the coefficients, and how they were measured."""
 
     calibration: Calibration
     model: str
     serial: int | None
+    certificate: Certificate | None = None
 
 
 def read_calibration(data: bytes, file: str) -> CalibrationFile:
@@ -83,13 +113,18 @@ def read_calibration(data: bytes, file: str) -> CalibrationFile:
         ConfigError: a key, unit, shape or value is wrong, with the key.
     """
     document = parse(data, file)
+    known = ("device", "certificate", "sigma", *UNITS)
     for name in document:
-        if name not in ("device", *UNITS):
-            expected = one_of(name, ("device", *UNITS))
+        if name not in known:
+            expected = one_of(name, known)
             raise ConfigError(f"{file}: {name}: found an unknown table, expected {expected}")
     device = convert(document.get("device", {}), _Device, file, "device")
+    certificate = None
+    if "certificate" in document:
+        certificate = convert(document["certificate"], Certificate, file, "certificate")
     gyro = _sensor(document, "gyro", file)
     accel = _sensor(document, "accel", file)
+    _check_sigmas(document, file)
     try:
         calibration = Calibration(
             gyro_scale_plus=gyro["scale"],
@@ -101,10 +136,30 @@ def read_calibration(data: bytes, file: str) -> CalibrationFile:
             gyro_g=gyro.get("g_sensitivity", np.zeros((3, 3))),
             gyro_axes=gyro["axes"],
             accel_axes=accel["axes"],
+            accel_arms=accel.get("lever_arm", np.zeros((3, 3))),
         )
     except ValueError as error:
         raise ConfigError(f"{file}: {error}") from error
-    return CalibrationFile(calibration, device.model, device.serial)
+    return CalibrationFile(calibration, device.model, device.serial, certificate)
+
+
+def _check_sigmas(document: dict[str, Any], file: str) -> None:
+    """Raise ConfigError where a sigma is not that of a coefficient of the file, in the same shape."""
+    sigmas = document.get("sigma", {})
+    if not isinstance(sigmas, dict):
+        raise wrong(file, "sigma", sigmas, "tables [sigma.gyro] and [sigma.accel]")
+    for sensor, table in sigmas.items():
+        if sensor not in UNITS or not isinstance(table, dict):
+            raise ConfigError(
+                f"{file}: sigma.{sensor}: found {sensor}, expected tables of {', '.join(UNITS)}"
+            )
+        for name, value in table.items():
+            key = f"sigma.{sensor}.{name}"
+            if name not in document[sensor]:
+                raise ConfigError(
+                    f"{file}: {key}: found an unknown key, expected {one_of(name, document[sensor])}"
+                )
+            _array(value, isinstance(document[sensor][name][0], list), file, key)
 
 
 def _sensor(document: dict[str, Any], sensor: str, file: str) -> dict[str, Vector]:

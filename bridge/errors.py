@@ -4,6 +4,7 @@ NavbridgeError
 ├── ConfigError      a configuration, mapping, calibration or scenario file is wrong
 ├── SourceError      a bus or link cannot be opened or is gone
 ├── CaptureError     a capture is missing, foreign or damaged beyond reading
+├── CalibrationError a turntable did not do what its plan says, or the plan does not show everything
 └── ReplayMismatch   a replay gave another digest than the one expected
 """
 
@@ -28,6 +29,10 @@ class SourceError(NavbridgeError):
 
 class CaptureError(NavbridgeError):
     """A capture cannot be read."""
+
+
+class CalibrationError(NavbridgeError):
+    """Captures and plan do not agree, or do not show every coefficient."""
 
 
 class ReplayMismatch(NavbridgeError):

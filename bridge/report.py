@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, TextIO
 
 from bridge.live import Outcome
-from bridge.outputs import ModeChange, Output, Progress, Text, Transmit
+from bridge.outputs import Health, ModeChange, Output, Progress, Reject, Text, Transmit
 from nav import jit
 
 _UNKNOWN_DEG: Final = 90.0
@@ -46,6 +46,27 @@ class Printer:
         heading = f", heading to {sigma:.2g} deg" if sigma < _UNKNOWN_DEG else ""
         done = f"{100.0 * progress.fraction:.0f} %{heading}"
         print(f"{progress.navigator}: alignment {progress.method} {done}", file=self._stream, flush=True)
+
+
+class Strangers:
+    """A sink that ends a run whose calibration is for another unit than the one on the bus.
+
+    ``stop`` is given the reason; ``device`` is the one it happened to, None while it has not.
+    """
+
+    def __init__(self) -> None:
+        self.stop: Callable[[str], object] = str
+        self.device: str | None = None
+
+    def consume(self, outputs: Sequence[Output]) -> list[Transmit]:
+        """Look at what is counted once a second."""
+        for output in outputs:
+            if isinstance(output, Health) and self.device is None:
+                for name, device in output.devices.items():
+                    if Reject.FOREIGN in device.rejects:
+                        self.device = name
+                        self.stop(f"found the calibration of another unit than {name} on the bus")
+        return []
 
 
 def explain_wait(stream: TextIO) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def _step(x: Array) -> Array:
+def smooth(x: Array) -> Array:
     """Smoothstep of degree nine on [0, 1]."""
     # the upper half by symmetry: the polynomial itself would cancel there and lose three digits
     y = np.minimum(x, 1.0 - x)
@@ -27,7 +27,7 @@ def _step(x: Array) -> Array:
     return np.where(x <= 0.5, low, 1.0 - low)
 
 
-def _step_area(x: Array) -> Array:
+def smooth_area(x: Array) -> Array:
     """Integral of the smoothstep from 0 to x."""
     y = np.minimum(x, 1.0 - x)
     low = y**6 * (21.0 + y * (-60.0 + y * (67.5 + y * (-35.0 + y * 7.0))))
@@ -204,15 +204,15 @@ class Profile:
         d1, d2, d3 = (
             (d / length**order)[:, None] * delta for order, d in enumerate(_step_derivatives(x), start=1)
         )
-        return self._base[index] + _step(x)[:, None] * delta, d1, d2, d3
+        return self._base[index] + smooth(x)[:, None] * delta, d1, d2, d3
 
     def speed(self, t_ns: NDArray[np.int64]) -> Array:
         """Speed along the path (n,) m/s, negative in reverse."""
         index, x, _ = self._place(t_ns)
-        return np.asarray(self._base[index, 0] + _step(x) * self._delta[index, 0])
+        return np.asarray(self._base[index, 0] + smooth(x) * self._delta[index, 0])
 
     def distance(self, t_ns: NDArray[np.int64], since: Array | float = 0.0) -> Array:
         """Distance rolled since the start (n,) m, counted up in reverse too; times as in `channels`."""
         index, x, length = self._place(t_ns, since)
-        part = self._base[index, 0] * x + _step_area(x) * self._delta[index, 0]
+        part = self._base[index, 0] * x + smooth_area(x) * self._delta[index, 0]
         return np.asarray(self._distance[index] + np.abs(part) * length)

@@ -35,6 +35,7 @@ COMMANDS: Final[dict[str, Command]] = {
     "replay": Command("bridge.cli.replay", "play a capture again and compare the digest"),
     "import": Command("bridge.cli.import_", "make a capture of somebody else's recording"),
     "align": Command("bridge.cli.align", "run alignments on a capture and compare what they find"),
+    "calibrate": Command("bridge.cli.calibrate", "make a calibration file of turntable captures"),
     "plot": Command("bridge.cli.plot", "draw what is in a capture"),
     "check": Command("bridge.cli.check", "check a configuration without opening a bus"),
     "inspect": Command("bridge.cli.inspect", "say what is in a capture and what looks wrong"),

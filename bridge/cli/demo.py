@@ -168,11 +168,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _drive(args: argparse.Namespace, bench: Bench, config: Config) -> tuple[Outcome, int, list[str]]:
     """The run itself, everything closed again at its end."""
-    clock = _clock(args.speed, bench)
+    clock = clock_of(args.speed, bench)
     metadata = {"scenario": str(args.scenario), "seed": str(args.seed), "speed": str(args.speed)}
     with (
         Bridge(config, clock, out=args.out, lossless=math.isinf(args.speed), metadata=metadata) as bridge,
-        _buses(bench) as buses,
+        embedded_buses(bench) as buses,
     ):
         embedded = EmbeddedBench(bench, buses)
         truth = TruthSink(embedded, bridge.recorder)
@@ -187,7 +187,7 @@ def _drive(args: argparse.Namespace, bench: Bench, config: Config) -> tuple[Outc
     return outcome, unrecorded, truth.lines(outcome.seconds)
 
 
-def _clock(speed: float, bench: Bench) -> SimulatedClock:
+def clock_of(speed: float, bench: Bench) -> SimulatedClock:
     """A clock that begins at the scenario's own time."""
     start = bench.scenario.start
     gps_s = start.gps_week * _WEEK_S + start.gps_tow_s
@@ -196,7 +196,7 @@ def _clock(speed: float, bench: Bench) -> SimulatedClock:
 
 
 @contextmanager
-def _buses(bench: Bench) -> Iterator[dict[str, can.BusABC]]:
+def embedded_buses(bench: Bench) -> Iterator[dict[str, can.BusABC]]:
     """The devices' ends of the virtual buses, by the scenario's channels."""
     with ExitStack() as stack:
         yield {

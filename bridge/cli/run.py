@@ -37,9 +37,10 @@ def run(args: argparse.Namespace) -> int:
     from bridge.assemble import Bridge
     from bridge.clock import HostClock
     from bridge.config import Config
+    from bridge.errors import ConfigError
     from bridge.realtime import RealTime
     from bridge.recording import require_place
-    from bridge.report import Printer, explain_wait, outcome_lines
+    from bridge.report import Printer, Strangers, explain_wait, outcome_lines
     from bridge.sources.console import at_terminal
 
     real_time = RealTime(args.realtime_priority, args.cpu, args.lock_memory)
@@ -51,8 +52,13 @@ def run(args: argparse.Namespace) -> int:
         for refusal in real_time.apply():  # now: the recorder's thread is not to have the priority
             print(f"navbridge: {refusal}", file=sys.stderr)
         with at_terminal(bridge.clock, bridge.wall, sys.stderr) as console:
-            outcome = bridge.live(sources=console, sinks=[Printer(sys.stderr)]).run(args.seconds)
+            strangers = Strangers()
+            live = bridge.live(sources=console, sinks=[Printer(sys.stderr), strangers])
+            strangers.stop = live.stop
+            outcome = live.run(args.seconds)
     unrecorded = bridge.recorder.unrecorded if bridge.recorder is not None else 0
     for line in outcome_lines(outcome, unrecorded):
         print(line)
+    if strangers.device is not None:
+        raise ConfigError(f"{args.config}: device.{strangers.device}.calibration: {outcome.reason}")
     return 0

@@ -1,4 +1,4 @@
-"""``navbridge sim``: the simulated bench alone, its devices on a real bus in real time."""
+"""``navbridge sim``: the simulated bench alone, its devices on a real bus in real time, or in a capture."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from typing import Any, NoReturn
 
 import can
 
+from bridge import arguments
 from bridge.cli.bench_options import add_bench_options, epilog
 from bridge.errors import ConfigError, SourceError
 from bridge.sources.can_help import reason
 from virtual_bus import scenario
 from virtual_bus.bus import Bench, Sent
+from virtual_bus.grades import GRADES
 
-_STATUS_S = 10.0
+_TURNTABLE = "turntable"
 
 
 def add_parser(subparsers: Any) -> argparse.ArgumentParser:
@@ -27,10 +29,33 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         "sim",
         help="put the simulated sensors of a scenario on a CAN bus",
         description="Put the virtual devices of a scenario on a CAN bus and nothing else: what a vehicle's "
-        "sensors would send. Run the bridge beside it: navbridge run DIR/config.toml (see --config-out).",
+        "sensors would send. Run the bridge beside it: navbridge run DIR/config.toml (see --config-out). "
+        "With the word turntable and a calibration plan it is a turntable that carries the plan out.",
         epilog=epilog(scenario.packaged()),
     )
     add_bench_options(parser, default=None, fastest="the bus takes it")
+    parser.add_argument(
+        "plan", metavar="PLAN", nargs="?", help="of a turntable: a packaged calibration plan, or a TOML file"
+    )
+    parser.add_argument(
+        "--grade",
+        choices=sorted(GRADES),
+        help="of a turntable: how good the unit on it is (default: fog)",
+    )
+    parser.add_argument(
+        "--rate-hz", metavar="HZ", type=arguments.rate, help="of a turntable: samples a second (default: 200)"
+    )
+    parser.add_argument(
+        "--site",
+        metavar="LAT,HEIGHT[,G]",
+        type=arguments.site,
+        help="of a turntable: latitude in deg, height in m and gravity in m/s^2 (default: the plan's)",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="FILE.mcap",
+        help="send nothing: record what a bridge would hear, in simulated time and as fast as it goes",
+    )
     parser.add_argument(
         "--interface", default="socketcan", help="a python-can interface (default: socketcan)"
     )
@@ -47,12 +72,14 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
 def run(args: argparse.Namespace) -> int:
     """Send until the scenario ends or somebody stops it, then say what was sent."""
     try:
-        bench = Bench(args.scenario, seed=args.seed, seconds=args.seconds)
+        bench = Bench(_scenario(args), seed=args.seed, seconds=args.seconds)
     except scenario.ScenarioError as error:
         raise ConfigError(str(error)) from error
     if args.config_out is not None:
         _write_files(bench, args.config_out, args.interface, args.channel)
     bench.prepare()
+    if args.out is not None:
+        return _record(bench, args.out)
     sent = Sent({})
     with ExitStack() as stack:
         buses = {name: stack.enter_context(_open(bench, name, args)) for name in bench.channels}
@@ -77,6 +104,47 @@ def run(args: argparse.Namespace) -> int:
     if math.isfinite(args.speed):
         line += f", worst lateness {late_ns * 1e-6:.1f} ms"
     print(line)
+    return 0
+
+
+def _scenario(args: argparse.Namespace) -> scenario.Scenario | str:
+    """The scenario asked for: by name or path, or the turntable's that a plan makes."""
+    if args.scenario != _TURNTABLE:
+        for name, found in (
+            ("PLAN", args.plan),
+            ("--grade", args.grade),
+            ("--rate-hz", args.rate_hz),
+            ("--site", args.site),
+        ):
+            if found is not None:
+                raise ConfigError(f"{name}: found one, but only the scenario {_TURNTABLE} has it")
+        return str(args.scenario)
+    from bridge import calibration_plan
+    from bridge.studies.turntable import RATE_HZ, scenario_of
+
+    if args.plan is None:
+        expected = ", ".join(calibration_plan.packaged())
+        raise ConfigError(f"PLAN: found nothing, expected a file or, packaged, one of {expected}")
+    site = None if args.site is None else calibration_plan.Site(*args.site)
+    return scenario_of(calibration_plan.load(args.plan), site, args.grade or "fog", args.rate_hz or RATE_HZ)
+
+
+def _record(bench: Bench, out: str) -> int:
+    """Run a bridge on an embedded bus in simulated time, and keep what it hears in a capture."""
+    from bridge.assemble import Bridge
+    from bridge.cli.demo import CHANNEL, EmbeddedBench, clock_of, embedded_buses
+    from bridge.config import Config
+    from bridge.recording import require_place
+
+    require_place(out)
+    config = Config.from_files(bench.files("virtual", CHANNEL))
+    metadata = {"scenario": bench.scenario.title, "seed": str(bench.seed), "speed": "inf"}
+    with (
+        Bridge(config, clock_of(math.inf, bench), out=out, lossless=True, metadata=metadata) as bridge,
+        embedded_buses(bench) as buses,
+    ):
+        outcome = bridge.live(bench=EmbeddedBench(bench, buses)).run()
+    print(f"{bench.scenario.title}: {outcome.frames} frames in {outcome.seconds:.1f} s: {out}")
     return 0
 
 

@@ -1,0 +1,312 @@
+"""From a plan and its captures to a calibration, the file that holds it and the report about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any, Final
+
+import numpy as np
+import tomli_w
+
+from bridge.calibration import UNITS, Certificate, G
+from bridge.calibration_capture import Recorded, same_unit
+from bridge.calibration_plan import Plan, Site, as_toml
+from bridge.errors import CalibrationError
+from bridge.strict import plain
+from nav.calibrate.checks import moved
+from nav.calibrate.coefficients import KEYS, Coefficients, coefficients
+from nav.calibrate.intervals import Interval, Place
+from nav.calibrate.model import LETTERS, NUISANCE, Model, sensor
+from nav.calibrate.observability import Observability, observe, propose
+from nav.calibrate.plan import Position
+from nav.calibrate.segments import Disagreement, segment
+from nav.calibrate.solve import Fit, Noise, fit
+from nav.calibrate.stream import Nominal
+from nav.types import Vector
+
+_ARCSEC: Final = np.pi / 648000.0
+_WRITTEN: Final = {
+    "gyro": {
+        "scale": "arcsec_per_pulse",
+        "scale_negative": "arcsec_per_pulse",
+        "bias": "deg_per_h",
+        "g_sensitivity": "deg_per_h_per_g",
+        "misalignment": "arcsec",
+        "axes": "",
+    },
+    "accel": {
+        "scale": "m_s_per_pulse",
+        "scale_negative": "m_s_per_pulse",
+        "bias": "ug",
+        "misalignment": "arcsec",
+        "axes": "",
+    },
+}
+"""The unit in which each quantity is written."""
+_DIGITS: Final = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A calibration with everything that its file and its report say."""
+
+    plan: Plan
+    site: Site
+    fit: Fit
+    intervals: tuple[Interval, ...]
+    seen: Observability
+    recorded: tuple[Recorded, ...]
+    serial: int | None
+
+    def of(self, kind: str) -> Coefficients:
+        """Coefficients of the "gyro" or the "accel" sensors."""
+        return coefficients(self.fit, kind == "gyro")
+
+
+def model_of(plan: Plan, place: Place, nominal: Nominal) -> Model:
+    """The unknowns of a unit that is about ``nominal``."""
+    made = []
+    for k, (axis, scale) in enumerate(zip(nominal.axes, nominal.scale, strict=True)):
+        gyro = k < nominal.gyros
+        number = k if gyro else k - nominal.gyros
+        count = nominal.gyros if gyro else len(nominal.scale) - nominal.gyros
+        name = LETTERS[number] if count == len(LETTERS) else str(number + 1)
+        kind = "gyro" if gyro else "accelerometer"
+        made.append(sensor(f"{kind} {name}", gyro, axis, float(scale), plan.terms))
+    return Model(tuple(made), place)
+
+
+def look(plan: Plan, model: Model, noise: Noise) -> Observability:
+    """What a plan will show of a unit.
+
+    Raises:
+        CalibrationError: not everything; the text names what, and steps that show it.
+    """
+    seen = observe(model, plan.steps, noise)
+    if not seen.unseen:
+        return seen
+    hidden = "; ".join(_combination(names) for names in seen.unseen)
+    dwells = [step.seconds for step in plan.steps if isinstance(step, Position)]
+    more = propose(model, plan.steps, noise, max(dwells, default=60.0))
+    advice = f"; add to the plan: {' | '.join(as_toml(more))}" if more else ""
+    raise CalibrationError(f"{plan.file}: the plan does not show {hidden}{advice}")
+
+
+def _combination(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} one from another"
+
+
+def calibrate(plan: Plan, site: Site | None, recorded: Sequence[Recorded]) -> Calibrated:
+    """The calibration of a unit from captures that hold the plan's steps in their order.
+
+    Raises:
+        ConfigError: nobody said where the table stands.
+        CalibrationError: the captures are of several units or do not hold what the plan says, the table
+            was moved, or the plan does not show every coefficient.
+    """
+    where, place = plan.at(site)
+    serial = same_unit(recorded)
+    noise, nominal = recorded[0].noise, Nominal.of(recorded[0].nominal)
+    model = model_of(plan, place, nominal)
+    seen = look(plan, model, noise)
+    try:
+        intervals = segment(
+            [one.stream for one in recorded], plan.steps, nominal, [one.ratio for one in recorded]
+        )
+        found = fit(model, intervals, noise)
+    except Disagreement as error:
+        raise CalibrationError(f"{plan.file} and {_files(recorded)} disagree: {error}") from error
+    except ValueError as error:
+        raise CalibrationError(f"{plan.file}, {_files(recorded)}: {error}") from error
+    wrong = moved(found, intervals, noise)
+    if wrong is not None:
+        raise CalibrationError(f"{_files(recorded)}: {wrong}")
+    return Calibrated(plan, where, found, tuple(intervals), seen, tuple(recorded), serial)
+
+
+def _files(recorded: Sequence[Recorded]) -> str:
+    return ", ".join(one.stream.name for one in recorded)
+
+
+# the file
+
+
+def certificate_of(result: Calibrated) -> Certificate:
+    """When, where and how, and what was left."""
+    first = min(result.recorded, key=lambda one: one.utc)
+    temperatures = np.concatenate([one.temperatures for one in result.recorded])
+    if not len(temperatures):
+        raise CalibrationError(f"{_files(result.recorded)}: the unit never told its temperature")
+    model = result.fit.model
+    left = {
+        gyro: np.concatenate(
+            [r.values for r, s in zip(result.fit.residuals, model.sensors, strict=True) if s.gyro == gyro]
+        )
+        for gyro in (True, False)
+    }
+    return Certificate(
+        date=first.utc.isoformat(),
+        plan=result.plan.title,
+        plan_sha256=result.plan.sha256,
+        captures=[one.stream.name for one in result.recorded],
+        lat_deg=result.site.lat_deg,
+        height_m=result.site.height_m,
+        gravity_m_s2=model.place.gravity,
+        temperature_deg_c=round(float(temperatures.mean()), 3),
+        temperature_range_deg_c=(float(temperatures.min()), float(temperatures.max())),
+        residual_gyro_arcsec=_significant(_rms(left[True]) / _ARCSEC, 4),
+        residual_accel_mm_s=_significant(_rms(left[False]) * 1e3, 4),
+        chi2=_significant(result.fit.chi2, 4),
+        freedom=result.fit.freedom,
+        inflation=_significant(result.fit.inflation, 4),
+        made_by=f"navbridge {version('navbridge')}",
+    )
+
+
+def file_of(result: Calibrated) -> str:
+    """The calibration file: TOML that `bridge.calibration.read_calibration` reads."""
+    return tomli_w.dumps(document_of(result))
+
+
+def document_of(result: Calibrated) -> dict[str, Any]:
+    """The calibration file as plain tables."""
+    device: dict[str, Any] = {"model": "calibrated on a turntable"}
+    if result.serial is not None:
+        device["serial"] = result.serial
+    document: dict[str, Any] = {"device": device, "certificate": plain(certificate_of(result)), "sigma": {}}
+    for kind in UNITS:
+        found = result.of(kind)
+        document[kind], document["sigma"][kind] = {}, {}
+        for name, value, sigma, unit, factor in written(kind, found):
+            key = f"{name}_{unit}" if unit else name
+            document[kind][key] = _plain(value / factor, _DIGITS)
+            document["sigma"][kind][key] = _plain(sigma / factor, 3)
+    arms = result.recorded[0].nominal.accel_arms
+    if np.any(arms):  # not measured here, but known
+        document["accel"]["lever_arm_m"] = arms.tolist()
+    return document
+
+
+def written(kind: str, found: Coefficients) -> list[tuple[str, Vector, Vector, str, float]]:
+    """Name, value and sigma (SI), unit and what it is in SI, of what is written of "gyro" or "accel"."""
+    rows: list[tuple[str, Vector, Vector, str, float]] = []
+    for key in KEYS:
+        if key not in found.value:
+            continue
+        value, sigma = found.value[key], found.sigma[key]
+        name: str = key
+        if key == "axes" and np.array_equal(np.diag(value), np.ones(3)):
+            name, value = "misalignment", value - np.eye(3)
+        unit = _WRITTEN[kind][name]
+        rows.append((name, value, sigma, unit, UNITS[kind][name][unit]))
+    return rows
+
+
+def _plain(values: Vector, digits: int) -> Any:
+    if values.ndim == 2:
+        return [_plain(row, digits) for row in values]
+    return [_significant(float(value), digits) for value in values]
+
+
+def _significant(value: float, digits: int) -> float:
+    return float(f"{value:.{digits}g}") + 0.0
+
+
+def _rms(values: Vector) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+# the report
+
+
+def lines_of(result: Calibrated) -> list[str]:
+    """The report for people: coefficients with sigmas, the table, residuals, what is weakly seen."""
+    first, c = result.recorded[0], certificate_of(result)
+    unit = "serial number not told" if result.serial is None else f"serial number {result.serial}"
+    low, high = c.temperature_range_deg_c
+    lines = [
+        f"{result.plan.title}: {_files(result.recorded)}",
+        f"{unit}, {c.date}, {c.temperature_deg_c:.1f} degC ({low:.1f} to {high:.1f}), "
+        f"gravity {c.gravity_m_s2:.5f} m/s^2, clock {1e6 * (first.ratio - 1.0):+.2f} ppm",
+        "",
+        f"{'coefficient':<44} {'value':>14} {'sigma':>10}  unit",
+    ]
+    for kind in UNITS:
+        for name, value, sigma, unit, factor in written(kind, result.of(kind)):
+            rows = np.atleast_2d(value.T).T.reshape(3, -1) / factor
+            sigmas = np.atleast_2d(sigma.T).T.reshape(3, -1) / factor
+            for i, j in np.ndindex(*rows.shape):
+                if sigmas[i, j] == 0.0:
+                    continue  # one by definition, or not estimated
+                of = f"{kind} {LETTERS[i]} {name.replace('_', ' ')}"
+                of += f" {LETTERS[j]}" if rows.shape[1] > 1 else ""
+                lines.append(f"{of:<44} {rows[i, j]:>14.7g} {sigmas[i, j]:>10.3g}  {unit.replace('_', ' ')}")
+    lines += ["", *_table_lines(result), "", *residual_lines(result), "", *weak_lines(result.seen)]
+    return lines
+
+
+def _table_lines(result: Calibrated) -> list[str]:
+    prior = result.fit.model.prior
+    factors = (1.0 / _ARCSEC, 1.0 / _ARCSEC, 1.0 / _ARCSEC, result.fit.model.place.gravity / G * 1e6)
+    lines = []
+    for k, (name, factor) in enumerate(zip(NUISANCE, factors, strict=True)):
+        value, sigma = (float(part[k - 4]) * factor for part in (result.fit.theta, result.fit.sigma))
+        unit = "ug" if k == 3 else "arcsec"
+        lines.append(
+            f"table: {name:<18} {value:>9.2f} +- {sigma:.2f} {unit} (before: +- {prior[k] * factor:.2f})"
+        )
+    return lines
+
+
+def residual_lines(result: Calibrated) -> list[str]:
+    """Root mean square of what is left, sensor by sensor, and in which step it is largest."""
+    found = result.fit
+    lines = [
+        f"residuals: chi-square {found.chi2:.1f} with {found.freedom} degrees of freedom, "
+        f"{found.steps} Gauss-Newton steps"
+    ]
+    if found.inflation > 1.0:
+        lines.append(
+            f"the residuals are {found.inflation:.2f} times what the unit's noise explains; all sigmas are "
+            "multiplied by that"
+        )
+    for one, left in zip(found.model.sensors, found.residuals, strict=True):
+        worst = int(np.argmax(np.abs(left.white)))
+        factor, unit = (_ARCSEC, "arcsec") if one.gyro else (1e-3, "mm/s")
+        lines.append(
+            f"  {one.name:<18} rms {_rms(left.values) / factor:>8.3g} {unit:<7} {_rms(left.white):>5.2f} "
+            f"sigma, largest {np.abs(left.white[worst]):.1f} sigma: {result.intervals[left.used[worst]].name}"
+        )
+    return lines
+
+
+def weak_lines(seen: Observability) -> list[str]:
+    """What a plan shows mostly in combination with something else."""
+    if not seen.weak:
+        return ["every coefficient is seen by itself: none has ten times the sigma it would have alone"]
+    return [
+        "seen mostly in combination with others:",
+        *(f"  {name}: {factor:.0f} times the sigma it would have alone" for name, factor in seen.weak),
+    ]
+
+
+def promise_lines(model: Model, seen: Observability) -> list[str]:
+    """What a plan promises before it is carried out: the sigma of every unknown."""
+    lines = [f"{'coefficient':<44} {'sigma':>10}  unit"]
+    for k, name in enumerate(model.names):
+        unit, factor = _unit_of(name)
+        lines.append(f"{name:<44} {seen.sigma[k] / factor:>10.3g}  {unit}")
+    return [*lines, "", *weak_lines(seen)]
+
+
+def _unit_of(name: str) -> tuple[str, float]:
+    gyro = name.startswith("gyro")
+    if "g sensitivity" in name:
+        return "deg/h/g", UNITS["gyro"]["g_sensitivity"]["deg_per_h_per_g"]
+    if name.endswith("bias"):
+        return ("deg/h", UNITS["gyro"]["bias"]["deg_per_h"]) if gyro else ("ug", UNITS["accel"]["bias"]["ug"])
+    if name.endswith(("scale", "asymmetry", "gravity")):
+        return "ppm", 1e-6
+    return "arcsec", _ARCSEC

@@ -1,0 +1,240 @@
+"""Many simulated units on many simulated turntables: whether coefficients are as wrong as their sigmas say.
+
+Truth, sensors and noise are the bench's; the counts go to the estimator as arrays, without a bus. The seeds
+are ``seed_base``, ``seed_base + 1``, ... and every one counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from scipy import stats
+
+from bridge.calibrating import look, model_of
+from bridge.calibration_plan import Plan, Site
+from bridge.studies.turntable import scenario_of
+from bridge.studies.workers import Progress, each
+from nav.calibrate.checks import moved
+from nav.calibrate.model import NUISANCE, Model
+from nav.calibrate.segments import segment
+from nav.calibrate.solve import Noise, fit
+from nav.calibrate.stream import Nominal, Stream
+from nav.types import Vector
+from virtual_bus.faults import Faults
+from virtual_bus.grades import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, GRADES, UG, Grade, ImuErrors, draw_imu
+from virtual_bus.sensors import Imu, generator
+from virtual_bus.turntable import Turntable
+
+RATE_HZ: Final = 50.0
+NAMES: Final = tuple(sorted(GRADES))
+COVERAGE: Final = (0.93, 0.975)
+"""Between these the share of errors within two sigmas must be, all coefficients of all runs together."""
+LARGEST: Final = 4.5
+_LEAST_RUNS: Final = 100
+"""From so many runs on the band is `COVERAGE`; fewer have one of their own."""
+_CHANCE: Final = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Round:
+    """One unit calibrated: errors of all coefficients in sigmas (k,), and how well the residuals fit.
+
+    ``table`` (4,) are those of the table's tilt, north and gravity; ``false`` what a check said that is not
+    so.
+    """
+
+    seed: int
+    normalised: Vector
+    table: Vector
+    chi2: float
+    freedom: int
+    steps: int
+    false: str | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rounds:
+    """All of them, and the verdict."""
+
+    plan: str
+    grade: str
+    names: tuple[str, ...]
+    rounds: tuple[Round, ...]
+
+    @property
+    def errors(self) -> Vector:
+        """Normalised errors (runs, coefficients)."""
+        return np.array([one.normalised for one in self.rounds])
+
+    @property
+    def coverage(self) -> float:
+        """Share of all errors within two sigmas."""
+        return float(np.mean(np.abs(self.errors) < 2.0))
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Where the coverage must be."""
+        return band(len(self.rounds), len(self.names))
+
+    @property
+    def largest(self) -> float:
+        """The largest error, in sigmas."""
+        return float(np.abs(self.errors).max())
+
+    @property
+    def passed(self) -> bool:
+        """Whether errors are as large as they are said to be, and no check spoke without a reason."""
+        low, high = self.band
+        quiet = all(one.false is None for one in self.rounds)
+        return low <= self.coverage <= high and self.largest < LARGEST and quiet
+
+
+def band(runs: int, coefficients: int) -> tuple[float, float]:
+    """Band of the pooled coverage: of few runs what chance leaves of a normal law in 999 of 1000 cases.
+
+    Coefficients of one unit are correlated, so that only as many count as independent as a unit has sensors.
+    """
+    if runs >= _LEAST_RUNS:
+        return COVERAGE
+    share = float(stats.norm.cdf(2.0) - stats.norm.cdf(-2.0))
+    count = runs * min(coefficients, 6)
+    low, high = stats.binom.ppf([0.5 * _CHANCE, 1.0 - 0.5 * _CHANCE], count, share) / count
+    return float(low), float(high)
+
+
+def run_calibrations(
+    plan: Plan,
+    site: Site | None,
+    grade: str,
+    runs: int,
+    *,
+    seed_base: int = 0,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> Rounds:
+    """Calibrate ``runs`` units of a grade by a plan.
+
+    Raises:
+        ConfigError: nobody said where the table stands.
+        CalibrationError: the plan does not show every coefficient.
+    """
+    _, place = plan.at(site)
+    model = model_of(plan, place, nominal_of(GRADES[grade]))
+    look(plan, model, noise_of(GRADES[grade]))
+    found: dict[int, Round] = {}
+    for one in each(partial(_one, plan, site, grade), range(seed_base, seed_base + runs), jobs):
+        found[one.seed] = one
+        if progress is not None:
+            progress(len(found), runs)
+    rounds = tuple(found[seed] for seed in sorted(found))
+    return Rounds(plan.title, grade, model.names[: -len(NUISANCE)], rounds)
+
+
+def nominal_of(grade: Grade) -> Nominal:
+    """A unit as its data sheet has it: pulses of the nominal size, no bias, axes along b."""
+    pulses = (grade.gyro_arcsec_per_pulse * ARCSEC, grade.accel_m_s_per_pulse)
+    return Nominal(3, np.vstack((np.eye(3), np.eye(3))), np.repeat(pulses, 3), np.zeros(6))
+
+
+def noise_of(grade: Grade) -> Noise:
+    """What a unit of a grade is said to be as noisy as."""
+    return Noise(
+        grade.gyro_random_walk_deg_per_sqrt_h * DEG_PER_SQRT_H,
+        grade.gyro_instability_deg_per_h * DEG_PER_H,
+        grade.accel_random_walk_ug_per_sqrt_hz * UG,
+        grade.accel_instability_ug * UG,
+        grade.correlation_s,
+    )
+
+
+def counted(table: Turntable, grade: Grade, seed: int) -> tuple[Stream, ImuErrors, Vector]:
+    """What a unit of a grade counts on the table, the unit, and the table's errors (4,) as in the model.
+
+    The random streams are those of a bench with the same seed.
+    """
+    delta, gravity = table.drawn(generator(seed, "vehicle/mounting"))
+    trajectory = table.trajectory(table.seconds(), generator(seed, "vehicle/mounting"))
+    unit = draw_imu(grade, generator(seed, "imu/unit"))
+    imu = Imu(trajectory, grade, unit, generator(seed, "imu"), Faults([]))
+    rate = round(table.imu.rate_hz)
+    count = int(table.seconds() * rate)
+    t_ns = np.rint(np.arange(count + 1) * (1e9 / rate)).astype(np.int64)
+    blocks = [imu.block(t_ns[k : k + rate + 1])[0] for k in range(0, count, rate)]
+    dt = np.asarray(np.diff(t_ns) * 1e-9, dtype=np.float64)
+    counts = np.concatenate(blocks).astype(np.float64)
+    stream = Stream(f"seed {seed}", 0.0, dt, counts, {})
+    return stream, unit, np.append(delta, gravity / table.gravity - 1.0)
+
+
+def truth(model: Model, unit: ImuErrors) -> Vector:
+    """The true coefficients of a unit of three gyros and three accelerometers, in the order of ``model``."""
+    values = []
+    for place, one in enumerate(model.sensors):
+        triad, k = (unit.gyro, place) if one.gyro else (unit.accel, place - 3)
+        # pulses of positive output are more by half the asymmetry, so each is smaller by that
+        plus = triad.scale[k] / (1.0 + 0.5 * triad.asymmetry[k])
+        minus = triad.scale[k] / (1.0 - 0.5 * triad.asymmetry[k])
+        own = {
+            "scale": 0.5 * (plus + minus) / one.scale - 1.0,
+            "asymmetry": (minus - plus) / one.scale,
+            "bias": triad.bias[k],
+            **{one.angle_of(side): float(one.across[:, side] @ triad.axes[k]) for side in (0, 1)},
+            **{f"g sensitivity {x}": g for x, g in zip("xyz", triad.g_sensitivity[k], strict=True)},
+        }
+        values += [float(own[term]) for term in one.terms]
+    return np.array(values)
+
+
+def _one(plan: Plan, site: Site | None, grade: str, seed: int) -> Round:
+    table = scenario_of(plan, site, grade, RATE_HZ)
+    nominal, noise = nominal_of(GRADES[grade]), noise_of(GRADES[grade])
+    stream, unit, wrong = counted(table, GRADES[grade], seed)
+    intervals = segment([stream], plan.steps, nominal, [1.0])
+    model = model_of(plan, plan.at(site)[1], nominal)
+    found = fit(model, intervals, noise)
+    error = (found.theta - np.append(truth(model, unit), wrong)) / found.sigma
+    false = moved(found, intervals, noise)
+    own = -len(NUISANCE)
+    return Round(seed, error[:own], error[own:], found.chi2, found.freedom, found.steps, false)
+
+
+def lines(every: Sequence[Rounds]) -> list[str]:
+    """The table for people."""
+    head = f"{'grade':<6} {'runs':>5} {'coefficients':>13} {'within 2 sigma':>15} {'band':>16} {'largest':>8}"
+    rows = [every[0].plan, f"{head} {'table':>6} {'chi2/dof':>9} {'steps':>6}"]
+    for one in every:
+        low, high = one.band
+        count = len(one.rounds)
+        table = np.array([r.table for r in one.rounds])
+        chi2 = np.mean([r.chi2 / r.freedom for r in one.rounds])
+        steps = max(r.steps for r in one.rounds)
+        rows.append(
+            f"{one.grade:<6} {count:>5} {len(one.names):>13} {100 * one.coverage:>13.2f} % "
+            f"{100 * low:>6.1f} to {100 * high:>5.1f} % {one.largest:>7.2f} "
+            f"{100 * np.mean(np.abs(table) < 2.0):>5.1f} % {chi2:>8.2f} {steps:>6}"
+        )
+        rows += [f"  seed {r.seed}: {r.false}" for r in one.rounds if r.false is not None]
+    rows.append("passed" if all(one.passed for one in every) else "NOT passed")
+    return rows
+
+
+def document(every: Sequence[Rounds]) -> dict[str, Any]:
+    """The same as plain tables, with the spread of every coefficient."""
+    return {
+        "plan": every[0].plan,
+        "grades": {
+            one.grade: {
+                "runs": len(one.rounds),
+                "coverage": one.coverage,
+                "band": one.band,
+                "largest": one.largest,
+                "passed": one.passed,
+                "rms": dict(zip(one.names, np.sqrt(np.mean(one.errors**2, axis=0)).tolist(), strict=True)),
+            }
+            for one in every
+        },
+    }

@@ -1,0 +1,117 @@
+"""What was counted while the table rested or turned, and what is known of that time.
+
+An interval is reduced to sums before anything is fitted. Pulses are summed by their sign, because a pulse
+that counts up and one that counts down differ in size: with ``plus`` and ``minus`` the sums of positive and
+of negative counts (both as positive numbers), the compensation of `nav.imu.pulses` gives over the interval
+scale_plus * plus - scale_minus * minus, whatever the samples were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nav import rotation
+from nav.earth import earth_rate_g, normal_gravity
+from nav.types import Vector
+
+
+def _none() -> Vector:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Interval:
+    """One position or rotation: sums of n gyros and m accelerometers, and where the table was.
+
+    ``begin`` and ``seconds`` in s; ``turned`` (3,) rad, in b, is what the table turned through;
+    ``attitude`` (3, 3) s the integral of C_bg over the interval, as planned. ``plus``, ``minus`` hold
+    pulses, (n + m,) gyros first; they are empty in an interval that is only planned.
+    """
+
+    name: str
+    rotation: bool
+    begin: float
+    seconds: float
+    turned: Vector
+    attitude: Vector
+    plus: Vector = field(default_factory=_none)
+    minus: Vector = field(default_factory=_none)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the table stands, latitude rad and gravity m/s^2, and how well that is known.
+
+    One sigma: ``tilt`` rad about east and about north, ``north`` rad about up, ``gravity_sigma`` relative.
+    """
+
+    lat: float
+    gravity: float
+    tilt: float
+    north: float
+    gravity_sigma: float
+
+    @property
+    def w_g(self) -> Vector:
+        """Earth rate (3,) rad/s in east, north, up."""
+        return earth_rate_g(self.lat)
+
+    @property
+    def f_g(self) -> Vector:
+        """Specific force (3,) m/s^2 of what rests, in east, north, up."""
+        return np.array([0.0, 0.0, self.gravity])
+
+
+def place_at(lat: float, height: float, gravity: float | None, sigmas: tuple[float, float, float]) -> Place:
+    """A place by latitude (rad) and height (m), with normal gravity where none was measured.
+
+    ``sigmas`` are those of tilt and north (rad) and of gravity (m/s^2).
+    """
+    g = normal_gravity(np.sin(lat), height) if gravity is None else gravity
+    return Place(lat, g, sigmas[0], sigmas[1], sigmas[2] / g)
+
+
+def sums(counts: Vector) -> tuple[Vector, Vector]:
+    """Sums by sign (n,), both positive, of ``counts`` (k, n) pulses."""
+    return np.maximum(counts, 0.0).sum(axis=0), -np.minimum(counts, 0.0).sum(axis=0)
+
+
+def resting(C_gb: Vector, seconds: float) -> Vector:
+    """Integral of C_bg (3, 3) s over a rest in attitude ``C_gb``."""
+    return np.asarray(C_gb).T * seconds
+
+
+def turning(C_gb: Vector, turned: Vector, angle: Vector, dt: Vector) -> Vector:
+    """Integral of C_bg (3, 3) s while the table turns by ``turned`` (3,) rad out of attitude ``C_gb``.
+
+    ``angle`` (k + 1,) is how far it has come at the ends of k samples, in any unit and with any error of
+    scale: the last value is the whole angle. ``dt`` (k,) s is how long they are.
+    """
+    share = (angle - angle[0]) / (angle[-1] - angle[0])
+    middle = 0.5 * (share[1:] + share[:-1])
+    C = rotation.dcm_from_quat(rotation.quat_from_rotvec(np.outer(middle, turned)))
+    return np.asarray(np.einsum("kji,k->ij", C, dt) @ np.asarray(C_gb).T)
+
+
+def covariance(
+    intervals: Sequence[Interval], walk: float, instability: float, correlation: float, pulse: float
+) -> Vector:
+    """Covariance (k, k) of one sensor's sums over the intervals, in its output unit squared.
+
+    White noise of density ``walk``, a Gauss-Markov process of sigma ``instability`` and time ``correlation``
+    s in its steady state, and rounding to whole pulses of size ``pulse`` at either end.
+    """
+    begin = np.array([one.begin for one in intervals])
+    length = np.array([one.seconds for one in intervals])
+    x = length / correlation
+    gap = np.maximum(begin[:, None] - (begin + length)[None, :], 0.0)
+    lag = np.maximum(gap, gap.T) / correlation
+    part = -np.expm1(-x)
+    between = np.exp(-lag) * np.outer(part, part)
+    np.fill_diagonal(between, 2.0 * (x + np.expm1(-x)))
+    out = (instability * correlation) ** 2 * between
+    out[np.diag_indices_from(out)] += walk**2 * length + pulse**2 / 6.0
+    return np.asarray(out)
