@@ -12,6 +12,7 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as dialect
 
+from bridge.commands import METHODS, CommandCode, Reason
 from tests.clients.conftest import Demo
 
 PATIENCE_S = 240.0  # a demo that compiles its kernels first, on a machine that does much else
@@ -36,9 +37,26 @@ def receive(station: Any, kind: str, wanted: Callable[[Any], bool] = lambda mess
 
 
 def command(station: Any, code: int, *params: float) -> int:
+    return int(acknowledged(station, code, *params).result)
+
+
+def acknowledged(station: Any, code: int, *params: float) -> Any:
     padded = (*params, *(0.0,) * 7)[:7]
     station.mav.command_long_send(1, 1, code, 0, *padded)
-    return int(receive(station, "COMMAND_ACK", lambda ack: ack.command == code).result)
+    return receive(station, "COMMAND_ACK", lambda ack: ack.command == code)
+
+
+def aligned_by(station: Any, method: str) -> None:
+    """Ask for an alignment, and wait till it says of itself how far it is and what it could reach."""
+    start = dialect.MAV_CMD_USER_1, float(CommandCode.START_ALIGNMENT), float(METHODS[method])
+    assert command(station, *start) == dialect.MAV_RESULT_ACCEPTED
+    receive(station, "STATUSTEXT", lambda text: text.text.startswith(f"alignment {method}"))
+    receive(
+        station, "NAMED_VALUE_FLOAT", lambda value: value.name == "AlignPct" and 0.0 < value.value < 100.0
+    )
+    receive(
+        station, "NAMED_VALUE_FLOAT", lambda value: value.name == "AlignLimH" and 0.0 < value.value < 10.0
+    )
 
 
 def test_a_live_run_that_was_commanded_replays_equal(demo: Demo, station: Any) -> None:
@@ -56,6 +74,14 @@ def test_a_live_run_that_was_commanded_replays_equal(demo: Demo, station: Any) -
     assert receive(station, "TIMESYNC", lambda m: m.ts1 == 4711).tc1 > 0
 
     # the operator stops navigation: the mode changes, and so does what follows in the capture
+    assert command(station, dialect.MAV_CMD_USER_1, 2.0) == dialect.MAV_RESULT_ACCEPTED
+    receive(station, "HEARTBEAT", lambda m: m.system_status == dialect.MAV_STATE_STANDBY)
+
+    # begins an alignment as it drives, picks another one, asks for one that cannot be, and gives it up
+    aligned_by(station, "gnss")
+    aligned_by(station, "odometer")
+    refused = acknowledged(station, dialect.MAV_CMD_USER_1, 1.0, float(METHODS["stored"]))
+    assert (refused.result, refused.result_param2) == (dialect.MAV_RESULT_DENIED, Reason.NO_HEADING)
     assert command(station, dialect.MAV_CMD_USER_1, 2.0) == dialect.MAV_RESULT_ACCEPTED
     receive(station, "HEARTBEAT", lambda m: m.system_status == dialect.MAV_STATE_STANDBY)
 
