@@ -28,7 +28,7 @@ from bridge.studies.alignment_truth import (
     sensed,
     times,
 )
-from bridge.studies.consistency import INSIDE, SHARE, Array, band, nees
+from bridge.studies.consistency import INSIDE, SHARE, Array, band, nees, share_inside
 from bridge.studies.workers import Progress, each
 from nav.align import ALIGNMENTS, AlignConfig, advance, begin, result
 from nav.rotation import dcm_from_euler, dcm_from_quat, euler_from_dcm
@@ -180,12 +180,12 @@ class Judged:
     @property
     def nees_inside(self) -> float:
         """Share of the epochs whose mean lies in its band."""
-        return float(np.mean((self.nees >= self.bands[:, 0]) & (self.nees <= self.bands[:, 1])))
+        return share_inside(self.nees, *self.bands.T)
 
     @property
     def bias_inside(self) -> float:
         """Share of epochs and axes whose mean error is that of chance."""
-        return float(np.mean(np.abs(self.bias) <= self.bias_band))
+        return share_inside(self.bias, -self.bias_band, self.bias_band)
 
     @property
     def passed(self) -> bool:

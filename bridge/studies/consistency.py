@@ -42,6 +42,11 @@ def nees(error: Array, covariance: Array) -> Array:
     return np.asarray(np.sum(error * solved, axis=-1))
 
 
+def share_inside(values: Array, low: Array | float, high: Array | float) -> float:
+    """Share of ``values`` between ``low`` and ``high``, one of each or one for each value."""
+    return float(np.mean((values >= low) & (values <= high)))
+
+
 @dataclass(frozen=True, slots=True)
 class Consistency:
     """What N runs say at K epochs ``t_s`` (K,).
@@ -69,13 +74,12 @@ class Consistency:
     @property
     def nees_inside(self) -> float:
         """Share of epochs and kinds whose NEES lies in the band."""
-        low, high = self.nees_band
-        return float(np.mean((self.nees >= low) & (self.nees <= high)))
+        return share_inside(self.nees, *self.nees_band)
 
     @property
     def bias_inside(self) -> float:
         """Share of epochs and axes whose mean error lies in the band."""
-        return float(np.mean(np.abs(self.bias) <= self.bias_band))
+        return share_inside(self.bias, -self.bias_band, self.bias_band)
 
     @property
     def passed(self) -> bool:

@@ -45,7 +45,7 @@ UNSTATED_SIGMA: Final = 0.3  # m or m/s, of a receiver that claims nothing
 SCALE_SLACK: Final = 0.2  # of 1: the fitted length of the specific force against GNSS
 TURNS: Final = 8
 SURE: Final = 1e-5  # rad: nobody levels better, and no covariance is singular
-SAME: Final = 1e-5  # rad: where repeating ends
+SAME: Final = 1e-3  # rad: where repeating ends; the next step would be the square of it
 _ANY: Final = np.array([10.0, 1e3, 1e4])  # rad of heading, m/s, m: no prior at all
 
 
