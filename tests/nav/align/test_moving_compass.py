@@ -7,36 +7,30 @@ from functools import cache
 import numpy as np
 import pytest
 
-from nav.align import ALIGNMENTS, AlignConfig, advance, begin, result
+from bridge.studies.alignment_truth import HEIGHT, LAT, LON, TICK, G, misalignment
+from nav.align import ALIGNMENTS, advance, begin, result
 from nav.earth import EARTH_RATE
-from nav.rotation import dcm_from_quat, quat_from_dcm, rotvec_from_quat
+from nav.rotation import dcm_from_quat
 from nav.types import FixType, GnssFix, ImuFlag, ImuSample, OdoSample
+from tests.nav.align import making
+from tests.nav.align.making import BAND_3
 from virtual_bus.manoeuvres import Accelerate, Cruise, Profile, Static, Turn
 from virtual_bus.truth import Trajectory, Vehicle
 
-DEG_PER_H = math.pi / 648000.0
-G = 9.80665
-LAT, LON, HEIGHT = math.radians(34.18), math.radians(108.9), 400.0
 DT = 0.1
 STEP_NS = round(DT * 1e9)
-TICK = 0.08194
 ARM = np.array([0.2, -1.0, -0.5])
 SECONDS = 640.0
 
-CONFIG = AlignConfig(
-    gyro_bias=0.007 * DEG_PER_H,
-    accel_bias=5e-5 * G,
-    angle_random_walk=math.radians(0.0005) / 60.0,
-    velocity_random_walk=1e-5 * G,
-    coarse_s=60.0,
-    fine_s=240.0,
+CONFIG = dataclasses.replace(
+    making.GRADE,
+    position=None,
     C_vb=np.eye(3),
     odometer_lever_arm=ARM,
     odometer_quantum=TICK,
     odometer_scale=0.003,
 )
 SEEDS = 8
-BAND_3 = (0.9, 5.4)  # the mean of 8 chi-square values of 3 degrees of freedom: 99.8 % of them
 
 
 @cache
@@ -108,7 +102,7 @@ def errors(road, init):
     """phi (3,), position (3,) m and velocity (3,) m/s, true minus estimated, and true C_gb."""
     truth = drive(road)[0].state(init.t_ns)
     C_gb = dcm_from_quat(truth.q_gb)
-    phi = rotvec_from_quat(quat_from_dcm(C_gb @ dcm_from_quat(init.q_gb).T))
+    phi = misalignment(C_gb, init.q_gb)
     apart = np.array(
         [
             (truth.lon - init.lon) * math.cos(LAT) * 6.384e6,

@@ -4,6 +4,7 @@ mounting."""
 import dataclasses
 import functools
 import math
+import re
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from bridge.studies.alignment_truth import (
     merged,
     misalignment,
     road,
+    rough,
     sensed,
     ticks,
     times,
@@ -176,12 +178,9 @@ def test_a_stand_before_and_on_the_way_tells_no_more_than_ticks_can():
         config = dataclasses.replace(
             GRADE, fine_s=120.0, position=(start.lat, start.lon, start.height), odometer_quantum=TICK
         )
-        inertial, _, _ = sensed(rng, config, *trajectory.increments(t_ns), ODO)
+        inertial, _, _ = sensed(rng, config, *rough(rng, trajectory, t_ns, config.slip), ODO)
         inertial = [s._replace(t_ns=s.t_ns + int(t_ns[0])) for s in inertial]
-        scale, phase = 1.0 + config.odometer_scale * rng.standard_normal(), rng.uniform()
-        whole = np.floor(trajectory.profile.distance(odo_ns) * scale / TICK + phase)
-        wheel = ticks(trajectory, odo_ns, scale)
-        wheel = [s._replace(distance=float(n) * TICK) for s, n in zip(wheel, np.diff(whole), strict=True)]
+        wheel = ticks(trajectory, odo_ns, 1.0 + config.odometer_scale * rng.standard_normal(), rng=rng)
         found = align(merged(inertial, wheel), config, at_s)
         assert found.refusals == []
         for k, (sample, status) in enumerate(found.seen):
@@ -223,6 +222,30 @@ def test_a_wrong_latitude_and_a_stuck_accelerometer_are_named():
         for s in samples
     ]
     assert "forward accelerometer is stuck" in align(stuck, config).refusals[0]
+
+
+def northward(config, off_deg):
+    """Four minutes, told of a place so far north of where it is."""
+    lat, lon, height = config.position
+    return dataclasses.replace(config, position=(lat + math.radians(off_deg), lon, height), fine_s=180.0)
+
+
+def test_a_tenth_of_a_degree_of_latitude_is_allowed_for():
+    # 0.026 deg/h of Earth's rate, nearly four sigma of a gyro's bias: no test names that in every run
+    trajectory, _C_vb, config, samples, _, _ = driven("winding", 3)
+    init = align(samples, northward(config, 0.1)).init
+    phi = misalignment(dcm_from_quat(trajectory.state(init.t_ns).q_gb), init.q_gb)
+    # 99.9 %
+    assert phi @ np.linalg.solve(init.P_phi, phi) < 16.3
+
+
+def test_more_latitude_than_that_is_told():
+    _, _, config, samples, _, _ = driven("winding", 3)
+    told = re.search(
+        r"([\d.]+) deg further south: latitude", align(samples, northward(config, 0.6)).refusals[0]
+    )
+    # the gyros' biases are 0.027 deg, noise as much; what is told is seen to better than 0.1: three sigma
+    assert float(told[1]) == pytest.approx(0.6, abs=0.3)
 
 
 def test_without_a_position_it_says_so():
