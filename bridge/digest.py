@@ -26,17 +26,19 @@ _GENESIS: Final = bytes(32)
 
 def canonical_row(solution: Solution) -> bytes:
     """Bytes that enter the digest for one solution: t_ns int64, mode uint16, flags uint32, state float64."""
-    state = np.array(solution.state, dtype=np.float64)
-    _canonical(state)
+    state = solution.state
+    if _holds_nan(state):
+        # its sign and payload depend on how it came about
+        state = np.where(np.isnan(state), np.nan, state)
     return _ROW.pack(solution.t_ns, solution.mode, solution.flags) + state.tobytes()
 
 
 @in_place
-def _canonical(state: Vector) -> None:
-    """Give every NaN the same bits: its sign and payload depend on how it came about."""
+def _holds_nan(state: Vector) -> bool:
+    found = False
     for i in range(state.shape[0]):
-        if np.isnan(state[i]):
-            state[i] = np.nan
+        found = found or np.isnan(state[i])
+    return bool(found)
 
 
 class DigestChain:

@@ -182,7 +182,8 @@ class Engine:
                     if type(sample) is GnssFix:
                         out.append(FixOut(self._now, sample.device, sample))
                     for line in lines:
-                        self._take_all(line, line.navigator.step(sample), out)
+                        if said := line.navigator.step(sample):
+                            self._take_all(line, said, out)
         elif source == BRIDGE:
             self._event(frame, out)
         elif source not in self.peers:

@@ -78,7 +78,7 @@ class Aligning:
     def _report(self, t: int, status: AlignStatus, events: list[NavEvent]) -> None:
         """What the alignment that was named first says of itself."""
         config = self._config
-        sigma = np.sqrt(np.maximum(np.diag(status.covariance), 0.0))
+        sigma = np.sqrt(np.maximum(status.covariance.diagonal(), 0.0))
         east, north, up = sigma.tolist()
         limit_e, limit_n, limit_u = status.limit.tolist()
         events.append(
@@ -103,9 +103,9 @@ class Aligning:
             self._shown = estimate, quat_from_dcm(C_gb if C_vb is None else C_gb @ C_vb.T)
         row[S.Q] = self._shown[1]
         row[S.SIGMA_PHI] = sigma
-        flags = SolutionFlag.LEVEL if max(east, north) < config.heading_limit else SolutionFlag.NONE
+        flags = int(SolutionFlag.LEVEL) if max(east, north) < config.heading_limit else 0
         if up < config.heading_limit:
-            flags |= SolutionFlag.HEADING
+            flags |= int(SolutionFlag.HEADING)
         if C_vb is not None:
-            flags |= SolutionFlag.MOUNTING
-        events.append(Solution(t, Mode.ALIGN, int(flags), row))
+            flags |= int(SolutionFlag.MOUNTING)
+        events.append(Solution(t, Mode.ALIGN, flags, row))

@@ -49,7 +49,7 @@ _BRIDGED: Final = int(ImuFlag.BRIDGED)
 _SATURATED: Final = int(ImuFlag.SATURATED)
 _FAULT: Final = int(ImuFlag.DEVICE_FAULT)
 _GAP: Final = int(ImuFlag.GAP)
-_ALIGNED: Final = SolutionFlag.POSITION | SolutionFlag.VELOCITY | SolutionFlag.LEVEL
+_ALIGNED: Final = int(SolutionFlag.POSITION | SolutionFlag.VELOCITY | SolutionFlag.LEVEL)
 
 
 class Navigator:
@@ -168,7 +168,7 @@ class Navigator:
         self._check_ns = init.t_ns
         self._gap_ns = self._rest_ns = self._degraded = None
         self._aiding.begin(init.t_ns, mounted)
-        self._flags = int(_ALIGNED)
+        self._flags = _ALIGNED
         self._change(init.t_ns, Mode.NAVIGATE, reason)
         self._stay_below(init.t_ns, init.lat)
 
@@ -323,20 +323,20 @@ class Navigator:
         wheel = max(timeline.last_accepted("odometer"), timeline.last_accepted("speed"))
         flags = _ALIGNED
         if row[24] < config.heading_limit:
-            flags |= SolutionFlag.HEADING
+            flags |= int(SolutionFlag.HEADING)
         if self._aiding.mounted:
-            flags |= SolutionFlag.MOUNTING
+            flags |= int(SolutionFlag.MOUNTING)
         if timeline.used("gnss_position", "gnss_velocity") and t - gnss < _RECENT_NS:
-            flags |= SolutionFlag.GNSS
+            flags |= int(SolutionFlag.GNSS)
         if t - timeline.last_accepted("gnss_position") >= _RECENT_NS:
-            flags |= SolutionFlag.DEAD_RECKONING
+            flags |= int(SolutionFlag.DEAD_RECKONING)
         if timeline.used("odometer", "speed") and t - wheel < _RECENT_NS:
-            flags |= SolutionFlag.ODOMETER
+            flags |= int(SolutionFlag.ODOMETER)
         if self._rest_ns is not None and t - self._rest_ns < round(2e9 * config.rest_interval):
-            flags |= SolutionFlag.STANDSTILL
+            flags |= int(SolutionFlag.STANDSTILL)
         if self._gap_ns is not None and t - self._gap_ns < _GAP_SHOWN_NS:
-            flags |= SolutionFlag.IMU_GAP
-        self._flags = int(flags)
+            flags |= int(SolutionFlag.IMU_GAP)
+        self._flags = flags
 
         missing = None
         for name, limit, latest in (

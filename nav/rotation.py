@@ -80,13 +80,25 @@ def euler(w: float, x: float, y: float, z: float) -> Three:
     return heading, np.arcsin(sine), np.arctan2(-2.0 * (x * z - w * y), w * w - x * x - y * y + z * z)
 
 
+def cross(a: Vector, b: Vector) -> Vector:
+    """Cross products (..., 3) of vectors (..., 3): what NumPy's gives, a few vectors much sooner."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    first = ay * bz - az * by
+    c = np.empty((*first.shape, 3))
+    c[..., 0] = first
+    c[..., 1] = az * bx - ax * bz
+    c[..., 2] = ax * by - ay * bx
+    return c
+
+
 def quat_multiply(a: ArrayLike, b: ArrayLike) -> Vector:
     """Product (..., 4) of quaternions ``a`` and ``b`` (..., 4): ``q_nv = q_nb q_bv``."""
     a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     aw, av = a[..., :1], a[..., 1:]
     bw, bv = b[..., :1], b[..., 1:]
     w = aw * bw - np.sum(av * bv, axis=-1, keepdims=True)
-    return np.concatenate([w, aw * bv + bw * av + np.cross(av, bv)], axis=-1)
+    return np.concatenate([w, aw * bv + bw * av + cross(av, bv)], axis=-1)
 
 
 def quat_conjugate(q: ArrayLike) -> Vector:
@@ -103,8 +115,8 @@ def quat_normalize(q: ArrayLike) -> Vector:
 def quat_rotate(q_nb: ArrayLike, r_b: ArrayLike) -> Vector:
     """Vectors (..., 3) in n of vectors (..., 3) in b, by ``q_nb`` (..., 4)."""
     q, r = np.asarray(q_nb, dtype=np.float64), np.asarray(r_b, dtype=np.float64)
-    t = 2.0 * np.cross(q[..., 1:], r)
-    return np.asarray(r + q[..., :1] * t + np.cross(q[..., 1:], t))
+    t = 2.0 * cross(q[..., 1:], r)
+    return np.asarray(r + q[..., :1] * t + cross(q[..., 1:], t))
 
 
 def quat_from_rotvec(rotvec: ArrayLike) -> Vector:
@@ -128,13 +140,20 @@ def rotvec_from_quat(q: ArrayLike) -> Vector:
 
 def dcm_from_quat(q: ArrayLike) -> Matrix:
     """Direction cosine matrices C_nb (..., 3, 3) of unit quaternions q_nb (..., 4). Groves, eq. (2.34)."""
-    w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
-    rows = [
-        [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    q = np.asarray(q, dtype=np.float64)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    # element by element: stacking them takes four times as long as computing them
+    C = np.empty((*q.shape[:-1], 3, 3))
+    C[..., 0, 0] = w * w + x * x - y * y - z * z
+    C[..., 0, 1] = 2.0 * (x * y - w * z)
+    C[..., 0, 2] = 2.0 * (x * z + w * y)
+    C[..., 1, 0] = 2.0 * (x * y + w * z)
+    C[..., 1, 1] = w * w - x * x + y * y - z * z
+    C[..., 1, 2] = 2.0 * (y * z - w * x)
+    C[..., 2, 0] = 2.0 * (x * z - w * y)
+    C[..., 2, 1] = 2.0 * (y * z + w * x)
+    C[..., 2, 2] = w * w - x * x - y * y + z * z
+    return C
 
 
 def quat_from_dcm(C: ArrayLike) -> Vector:
@@ -210,7 +229,8 @@ def euler_from_quat(q_gb: ArrayLike) -> tuple[Vector, Vector, Vector]:
 
 def skew(r: ArrayLike) -> Matrix:
     """[r x] (..., 3, 3): the matrix with ``skew(r) @ u == cross(r, u)``."""
-    x, y, z = np.moveaxis(np.asarray(r, dtype=np.float64), -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    r = np.asarray(r, dtype=np.float64)
+    C = np.zeros((*r.shape[:-1], 3, 3))
+    C[..., 2, 1], C[..., 0, 2], C[..., 1, 0] = r[..., 0], r[..., 1], r[..., 2]
+    C[..., 1, 2], C[..., 2, 0], C[..., 0, 1] = -r[..., 0], -r[..., 1], -r[..., 2]
+    return C

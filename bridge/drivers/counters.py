@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from bridge.outputs import DeviceHealth, Reject
+
+_REASONS: Final = tuple(Reject)
 
 
 class Counters:
@@ -54,7 +58,7 @@ class Counters:
             missing=self.missing,
             bridged=self.bridged,
             duplicates=self.duplicates,
-            rejects={reason: self.rejects[reason] for reason in Reject if self.rejects[reason]},
+            rejects={reason: count for reason, count in zip(_REASONS, self.rejects, strict=True) if count},
             rate_hz=self._rate_hz,
             age_ms=0.0 if self.last_ns is None else (now_ns - self.last_ns) / 1e6,
         )

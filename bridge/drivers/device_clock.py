@@ -105,13 +105,13 @@ class DeviceClock:
         self._low_d = d
 
     def axis(
-        self, counter_ns: int, arrival_ns: int, modulus_ns: int | None, since: tuple[int, int]
+        self, counter_ns: int, arrival_ns: int, modulus_ns: int | None, good_ns: int, good_arrival_ns: int
     ) -> int | None:
         """Place a counter on the axis; None where it cannot be told.
 
-        ``since`` is the place of the port's last good count and its arrival. If that was less than half a
-        wrap ago the count is the next one after it, however late; otherwise the latest that the line
-        allows. An eighth of a wrap is left for a count that goes back, or arrives before the line.
+        ``good_ns`` is the place of the port's last good count, ``good_arrival_ns`` its arrival. If that was
+        less than half a wrap ago the count is the next one after it, however late; otherwise the latest that
+        the line allows. An eighth of a wrap is left for a count that goes back, or arrives before the line.
         """
         widest = self._widest
         if widest == 0:
@@ -132,8 +132,9 @@ class DeviceClock:
         if modulus_ns is None:
             return place
         back = modulus_ns >> 3
-        if arrival_ns - since[1] < modulus_ns >> 1:
-            return since[0] - back + (place - since[0] + back) % modulus_ns
+        if arrival_ns - good_arrival_ns < modulus_ns >> 1:
+            first = good_ns - back
+            return first + (place - first) % modulus_ns
         latest = self._expected(arrival_ns) + back
         return latest - (latest - place) % modulus_ns
 
@@ -259,7 +260,7 @@ class ClockPort:
             self._resets = clock.resets
             self._last_axis = None
             self._good_axis = self._good_arrival = _NEVER
-        axis = clock.axis(counter_ns, arrival, self._modulus, (self._good_axis, self._good_arrival))
+        axis = clock.axis(counter_ns, arrival, self._modulus, self._good_axis, self._good_arrival)
         if axis is None:
             self.elapsed_ns = self._last_axis = None
             out = arrival

@@ -107,7 +107,7 @@ class GnssCan:
         v_g = sigma_v = None
         if accuracy[3]:
             v_g = np.array(velocity, dtype=np.float64)
-            sigma_v = np.maximum(np.array(accuracy[:3], dtype=np.float64), self._min_v)
+            sigma_v = np.array([max(sigma, self._min_v) for sigma in accuracy[:3]])
         counters.samples += 1
         counters.last_ns = t_ns
         return (
@@ -116,7 +116,7 @@ class GnssCan:
                 lat * _RAD,
                 lon * _RAD,
                 float(height[0]),
-                np.maximum(np.array((sigma_e, sigma_n, height[1]), dtype=np.float64), self._min_p),
+                np.array([max(sigma, self._min_p) for sigma in (sigma_e, sigma_n, height[1])]),
                 v_g,
                 sigma_v,
                 fix_type,

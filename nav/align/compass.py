@@ -98,11 +98,11 @@ def _take(course: Course, sample: Sample) -> str | None:
     if course.t0_ns is None:
         course.t0_ns = sample.t_ns - round(sample.dt * 1e9)
     reason = watch.fault(sample)
-    course.still = watch.add(course.still, sample, np.zeros(3), np.zeros(3))
+    course.still, full = watch.add(course.still, sample)
     course.store.add(sample)
-    if reason is None and watch.full(course.still):
+    if reason is None and full:
         before = course.still
-        course.still, reason = watch.close(before, config)
+        course.still, _, reason = watch.close(before, config, sample.t_ns)
         _feel(course, before)
         if course.origin is None and (found := place_of(config, course.still)) is not None:
             place_course(course, found)

@@ -30,7 +30,7 @@ from nav.align.still import PUSHED, Block, Lean, Standing, contradiction, standi
 from nav.align.types import AlignConfig, NavInit, Stage
 from nav.earth import earth_rate_g, gravity_g, normal_gravity
 from nav.errors.psi import alignment_dynamics
-from nav.rotation import dcm_from_quat, quat_from_rotvec
+from nav.rotation import cross, dcm_from_quat, quat_from_rotvec
 from nav.types import Vector
 
 WINDOW_S: Final = 29  # blocks of a window without velocity, an odd number
@@ -104,7 +104,7 @@ def _update(state: Standing[Filter], block: Block, model: Model) -> tuple[Standi
     config, own = state.config, state.own
     given, dt, dv = own.given, block.dt, block.dv
     g, w_ie = gravity_g(given.lat, given.height), earth_rate_g(given.lat)
-    gained = own.C @ dv + g * dt + 0.5 * dt**2 * np.cross(w_ie, g)
+    gained = own.C @ dv + g * dt + 0.5 * dt**2 * cross(w_ie, g)
     C = dcm_from_quat(quat_from_rotvec(-w_ie * dt)) @ own.C @ block.rotation
     v = own.v + gained
     F = _dynamics(given.lat, given.height)

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from nav.jit import kernel
+from nav.jit import in_place, kernel
 from nav.types import Vector
 
 R: Final = slice(0, 9)  # rotation from b at the end to b at the start
@@ -37,8 +37,8 @@ def empty() -> Vector:
     return piece
 
 
-@kernel
-def _exponential(x: float, y: float, z: float, out: Vector) -> None:
+@in_place
+def turn_matrix(x: float, y: float, z: float, out: Vector) -> None:
     """Rotation matrix of a rotation vector, row by row into ``out`` (9,)."""
     n2 = x * x + y * y + z * z
     if n2 > 1e-8:
@@ -75,7 +75,7 @@ def sample_piece(
     ux = dv[0] - accel_bias[0] * dt
     uy = dv[1] - accel_bias[1] * dt
     uz = dv[2] - accel_bias[2] * dt
-    _exponential(tx, ty, tz, out[0:9])
+    turn_matrix(tx, ty, tz, out[0:9])
     out[9] = ux + 0.5 * (ty * uz - tz * uy)
     out[10] = uy + 0.5 * (tz * ux - tx * uz)
     out[11] = uz + 0.5 * (tx * uy - ty * ux)
@@ -118,7 +118,7 @@ def extend(total: Vector, piece: Vector, gyro_bias: Vector, accel_bias: Vector) 
     p = np.empty(3)
     g0, g1, g2 = gyro_bias[0], gyro_bias[1], gyro_bias[2]
     a0, a1, a2 = accel_bias[0], accel_bias[1], accel_bias[2]
-    _exponential(
+    turn_matrix(
         piece[15] * g0 + piece[16] * g1 + piece[17] * g2,
         piece[18] * g0 + piece[19] * g1 + piece[20] * g2,
         piece[21] * g0 + piece[22] * g1 + piece[23] * g2,

@@ -13,12 +13,12 @@ every sample, pulses come one by one, and a lone one is nothing else.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from nav.earth import EARTH_RATE
-from nav.jit import kernel
+from nav.jit import in_place
 from nav.types import ImuFlag, ImuSample, Vector
 
 STUCK_S: Final = 2.0
@@ -38,32 +38,30 @@ _GAP: Final = int(ImuFlag.GAP)
 _RATES: Final = 0  # the last four, newest first
 _LEAPS: Final = 4  # the last three, newest first
 _LAST, _HELD, _LONGEST, _PULSE, _ROUGH, _MOST, _NEW = 7, 8, 9, 10, 11, 12, 13
-_SIZE: Final = 14
+_RATE: Final = 14  # rad/s, m/s^2, that does not stay unseen
+_LEAP: Final = 15  # rad, m/s, that matters
+_SEEN: Final = 16  # samples since the last break; of the first sensor, for all of them
+_SIZE: Final = 17
 
-
-class Sensors(NamedTuple):
-    """What was seen of the six; arrays are used up."""
-
-    state: Vector  # (6, n)
-    seen: Vector  # (1,), samples since the last break
-    least: Vector  # (6, 2): a rate (rad/s, m/s^2) that does not stay unseen, a leap (rad, m/s) that matters
+Sensors = Vector
+"""What was seen of the six (6, n); used up."""
 
 
 def sensors(gyro_bias: float, accel_bias: float) -> Sensors:
     """Before the first sample; the standard deviations of constant errors (rad/s, m/s^2) give the scale."""
     state = np.zeros((6, _SIZE))
     state[:, _PULSE] = math.inf
-    rates = [max(gyro_bias, 0.1 * EARTH_RATE)] * 3 + [accel_bias] * 3
-    leaps = [gyro_bias * MATTERS_S] * 3 + [accel_bias * MATTERS_S] * 3
-    return Sensors(state, np.zeros(1), np.array([rates, leaps]).T.copy())
+    state[:, _RATE] = [max(gyro_bias, 0.1 * EARTH_RATE)] * 3 + [accel_bias] * 3
+    state[:, _LEAP] = [gyro_bias * MATTERS_S] * 3 + [accel_bias * MATTERS_S] * 3
+    return state
 
 
 def against(watched: Sensors, sample: ImuSample) -> str | None:
     """What is wrong with an inertial sensor by this sample, in words, or None."""
     _, dt, dtheta, dv, _, flags = sample
     if flags & _GAP:
-        watched.seen[0] = 0.0
-    which = _look(watched.state, watched.seen, watched.least, dtheta, dv, dt)
+        watched[0, _SEEN] = 0.0
+    which = _look(watched, dtheta, dv, dt)
     return None if which < 0 else _words(watched, which, dt)
 
 
@@ -71,18 +69,19 @@ def _words(watched: Sensors, which: int, dt: float) -> str:
     """What to say; and it begins to look again."""
     k = which % 6
     name = f"{_NAMES[k % 3]} {'gyro' if k < 3 else 'accelerometer'}"
-    watched.state[k, _HELD] = watched.seen[0] = 0.0
+    watched[k, _HELD] = watched[0, _SEEN] = 0.0
     if which < 6:
         return f"the {name} is stuck: it says the same again and again"
-    leap = abs(watched.state[k, _LEAPS + 1]) * dt
+    leap = abs(watched[k, _LEAPS + 1]) * dt
     size = f"{math.degrees(leap):.5f} deg" if k < 3 else f"{leap:.3f} m/s"
     return f"a lone sample of the {name} is wild: {size} off its neighbours"
 
 
-@kernel
-def _look(state: Vector, seen: Vector, least: Vector, dtheta: Vector, dv: Vector, dt: float) -> int:
+@in_place
+def _look(state: Sensors, dtheta: Vector, dv: Vector, dt: float) -> int:
     """Take a sample: the sensor (0 to 5) that is stuck, 6 more for one that was wild, or -1."""
-    seen[0] += 1.0
+    seen = state[0, _SEEN] + 1.0
+    state[0, _SEEN] = seen
     found = -1
     for first in (0, 3):
         values = dtheta if first == 0 else dv
@@ -97,23 +96,23 @@ def _look(state: Vector, seen: Vector, least: Vector, dtheta: Vector, dv: Vector
                 s[_HELD] = 0.0
             else:
                 s[_HELD] += dt
-            s[_NEW] += ((1.0 if change > 0.0 else 0.0) - s[_NEW]) / min(seen[0], MEMORY)
+            s[_NEW] += ((1.0 if change > 0.0 else 0.0) - s[_NEW]) / min(seen, MEMORY)
             alive = alive or s[_HELD] < 0.5 * STUCK_S
             dense = dense or s[_NEW] > DENSE
             pulse = min(pulse, s[_PULSE])
             most = max(most, s[_MOST])
         for i in range(3):
             s = state[first + i]
-            limit = max(STUCK_S, LONGER * s[_LONGEST], PULSES * pulse / least[first + i, 0])
+            limit = max(STUCK_S, LONGER * s[_LONGEST], PULSES * pulse / s[_RATE])
             if alive and s[_HELD] > limit:
                 found = first + i
-            leap = abs(_leap(s, values[i] / dt, seen[0]))
-            if dense and leap > LARGEST * most and leap * dt > least[first + i, 1]:
+            leap = abs(_leap(s, values[i] / dt, seen))
+            if dense and leap > LARGEST * most and leap * dt > s[_LEAP]:
                 found = 6 + first + i
     return found
 
 
-@kernel
+@in_place
 def _leap(s: Vector, rate: float, seen: float) -> float:
     """By how much the rate three samples ago leapt from a cubic through the four around it, if only it did.
 

@@ -23,7 +23,7 @@ from nav.align.handover import Place, hand_over, imu_place, under_antenna
 from nav.align.still import Block, Own, Standing, Still
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
 from nav.earth import EARTH_RATE, earth_rate_g, gravity_g, normal_gravity
-from nav.rotation import dcm_from_quat, quat_from_dcm, quat_from_rotvec
+from nav.rotation import cross, dcm_from_quat, quat_from_dcm, quat_from_rotvec
 from nav.types import Sample, Vector
 
 SIGMAS: Final = 6.0
@@ -182,9 +182,9 @@ def triad(force: Vector, rate: Vector, lat: float, height: float) -> Vector:
 def _orthonormal(first: Vector, second: Vector) -> Vector:
     """Rows: across both, in their plane, along ``first``."""
     up = first / np.linalg.norm(first)
-    east = np.cross(second, up)
+    east = cross(second, up)
     east /= np.linalg.norm(east)
-    return np.stack([east, np.cross(up, east), up])
+    return np.stack([east, cross(up, east), up])
 
 
 def coarse_covariance(config: AlignConfig, C_gb: Vector, lat: float, height: float, still: Still) -> Vector:

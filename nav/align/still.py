@@ -11,9 +11,9 @@ import numpy as np
 from nav.align import drift
 from nav.align.drift import Drift, Line
 from nav.align.level import gnss_speed
-from nav.align.preintegrate import DT, SIZE, R, V, empty, extend, sample_piece
+from nav.align.preintegrate import turn_matrix
 from nav.align.types import AlignConfig, AlignStatus
-from nav.jit import kernel
+from nav.jit import in_place
 from nav.types import GnssFix, ImuFlag, ImuSample, OdoSample, Sample, SpeedSample, Vector
 
 BLOCK_S: Final = 1.0
@@ -28,11 +28,16 @@ _GAP: Final = int(ImuFlag.GAP)
 _SATURATED: Final = int(ImuFlag.SATURATED)
 _RADIUS: Final = 6.37e6  # m, of the Earth
 _ZERO: Final = np.zeros(3)
-_TURN: Final = slice(SIZE, SIZE + 3)  # rad, sum of the angle increments of a block, behind its piece
-_PUSH: Final = slice(SIZE + 3, SIZE + 6)  # m/s, likewise
-_AREA: Final = slice(SIZE + 6, SIZE + 9)  # rad s, integral of the turn
-_LATE: Final = slice(SIZE + 9, SIZE + 12)  # rad s^2, of it times the time in the block
-_NOTHING: Final = np.concatenate([empty(), np.zeros(12)])
+# places in the sums over a block
+_R: Final = slice(0, 9)  # rotation from b at its end to b at its start
+_V: Final = slice(9, 12)  # m/s, integral of f in b at its start
+_TURN: Final = slice(12, 15)  # rad, sum of the angle increments
+_PUSH: Final = slice(15, 18)  # m/s, likewise
+_AREA: Final = slice(18, 21)  # rad s, integral of the turn
+_LATE: Final = slice(21, 24)  # rad s^2, of it times the time in the block
+_DT: Final = 24  # s
+_STEP: Final = slice(25, 34)  # rotation over the last sample
+_SIZE: Final = 34
 _NO_BIASES: Final = np.zeros(6)
 _NOWHERE: Final = np.full(3, math.inf)
 
@@ -40,11 +45,11 @@ _NOWHERE: Final = np.full(3, math.inf)
 class Still(NamedTuple):
     """The open block, the means of the closed ones, and where GNSS says the antenna is."""
 
-    block: Vector = _NOTHING  # the open one: its piece and the sums of its increments
+    block: Vector | None = None  # sums over the open one; used up
     rate: Vector = _ZERO  # means over the closed blocks, b
     force: Vector = _ZERO
     seconds: float = 0.0
-    t_ns: int = 0
+    t_ns: int = 0  # end of the last of them
     place: Vector = _ZERO  # mean: lat rad, lon rad, height m
     sigma_place: Vector = _NOWHERE
     fixes: int = 0
@@ -53,52 +58,71 @@ class Still(NamedTuple):
     blocks: int = 0
 
 
-def add(still: Still, sample: ImuSample, gyro_bias: Vector, accel_bias: Vector) -> Still:
-    """Add an inertial sample to the open block."""
-    t_ns, dt, dtheta, dv, _, _ = sample
-    before, rate, force, seconds, _, place, sigma_place, fixes, anchor, line, blocks = still
-    longer = np.empty(len(before))
-    _lengthen(before, dtheta, dv, dt, gyro_bias, accel_bias, _ZERO, longer)
-    return Still(longer, rate, force, seconds, t_ns, place, sigma_place, fixes, anchor, line, blocks)
+class Block(NamedTuple):
+    """A closed block: what its samples come to, in b at its start, and their plain sums."""
+
+    rotation: Vector  # (3, 3)
+    dv: Vector  # (3,) m/s
+    turned: Vector  # (3,) rad
+    pushed: Vector  # (3,) m/s
+    dt: float
 
 
-@kernel
-def _lengthen(
-    before: Vector,
-    dtheta: Vector,
-    dv: Vector,
-    dt: float,
-    gyro_bias: Vector,
-    accel_bias: Vector,
-    zero: Vector,
-    out: Vector,
-) -> None:
-    """The block ``before`` with one more sample, into ``out``."""
-    piece = np.empty(SIZE)
-    sample_piece(dtheta, dv, dt, gyro_bias, accel_bias, piece)
-    out[:] = before
-    extend(out, piece, zero, zero)
+def add(still: Still, sample: ImuSample, biases: Vector = _NO_BIASES) -> tuple[Still, bool]:
+    """Add an inertial sample to the open block; also, whether that has its length now.
+
+    ``biases`` (6,) rad/s and m/s^2 are taken off what turns and pushes b, not off the plain sums.
+    """
+    block = still.block
+    if block is None:
+        block = np.zeros(_SIZE)
+        block[0:9:4] = 1.0
+        still = still._replace(block=block)
+    _, dt, dtheta, dv, _, _ = sample
+    return still, _lengthen(block, dtheta, dv, dt, biases) >= BLOCK_S - 1e-6
+
+
+@in_place
+def _lengthen(block: Vector, dtheta: Vector, dv: Vector, dt: float, biases: Vector) -> float:
+    """Take one more sample into a block; its seconds.
+
+    Half the rotation of the interval is applied to its velocity increment, as in
+    `nav.align.preintegrate.sample_piece`.
+    """
+    tx, ty, tz = dtheta[0] - biases[0] * dt, dtheta[1] - biases[1] * dt, dtheta[2] - biases[2] * dt
+    ux, uy, uz = dv[0] - biases[3] * dt, dv[1] - biases[4] * dt, dv[2] - biases[5] * dt
+    step = block[_STEP]
+    turn_matrix(tx, ty, tz, step)
+    vx, vy, vz = (
+        ux + 0.5 * (ty * uz - tz * uy),
+        uy + 0.5 * (tz * ux - tx * uz),
+        uz + 0.5 * (tx * uy - ty * ux),
+    )
+    before = block[_DT]
     for i in range(3):
-        middle = (out[SIZE + i] + 0.5 * dtheta[i]) * dt
-        out[SIZE + 6 + i] += middle
-        out[SIZE + 9 + i] += middle * (before[DT] + 0.5 * dt) + dtheta[i] * dt * dt / 12.0
-        out[SIZE + i] += dtheta[i]
-        out[SIZE + 3 + i] += dv[i]
+        a, b, c = block[3 * i], block[3 * i + 1], block[3 * i + 2]
+        block[9 + i] += a * vx + b * vy + c * vz
+        for j in range(3):
+            block[3 * i + j] = a * step[j] + b * step[3 + j] + c * step[6 + j]
+        middle = (block[12 + i] + 0.5 * dtheta[i]) * dt
+        block[18 + i] += middle
+        block[21 + i] += middle * (before + 0.5 * dt) + dtheta[i] * dt * dt / 12.0
+        block[12 + i] += dtheta[i]
+        block[15 + i] += dv[i]
+    block[_DT] = before + dt
+    return float(block[_DT])
 
 
-def full(still: Still) -> bool:
-    """Whether the open block has its length."""
-    return float(still.block[DT]) >= BLOCK_S - 1e-6
-
-
-def close(still: Still, config: AlignConfig) -> tuple[Still, str | None]:
-    """Close the block: the new state, and what moved, if it moved.
+def close(still: Still, config: AlignConfig, t_ns: int) -> tuple[Still, Block, str | None]:
+    """Close the block at ``t_ns``: the new state, the block, and what moved, if it moved.
 
     A block is compared with the mean of those before it: a net turn or push of the vehicle shows, engine
     and wind average out.
     """
-    dt = float(still.block[DT])
-    turned, pushed = still.block[_TURN], still.block[_PUSH]
+    sums = still.block
+    assert sums is not None
+    dt = float(sums[_DT])
+    turned, pushed = sums[_TURN], sums[_PUSH]
     reason = None
     if still.seconds > 0.0:
         turn = float(np.linalg.norm(turned - still.rate * dt))
@@ -109,16 +133,17 @@ def close(still: Still, config: AlignConfig) -> tuple[Still, str | None]:
         elif push > max(PUSHED, SIGMAS * config.velocity_random_walk * spread):
             reason = f"the vehicle was pushed: its velocity changed by {push:.2f} m/s in {dt:.1f} s"
     seconds = still.seconds + dt
-    turn_of = drift.Turn(dt, turned, still.block[_AREA], still.block[_LATE] / dt)
+    turn_of = drift.Turn(dt, turned, sums[_AREA], sums[_LATE] / dt)
     still = still._replace(
-        block=_NOTHING,
+        block=None,
         rate=still.rate + (turned - still.rate * dt) / seconds,
         force=still.force + (pushed - still.force * dt) / seconds,
         seconds=seconds,
+        t_ns=t_ns,
         line=drift.follow(still.line, turn_of, drift.average(config.coarse_s, BLOCK_S)),
         blocks=still.blocks + 1,
     )
-    return still, reason
+    return still, Block(sums[_R].reshape(3, 3), sums[_V], turned, pushed, dt), reason
 
 
 def mean_rate(still: Still, config: AlignConfig) -> tuple[Drift, Vector]:
@@ -224,16 +249,6 @@ class Standing(NamedTuple, Generic[Own]):
     biases: Vector = _NO_BIASES  # (6,) rad/s, m/s^2 in b, taken off the samples
 
 
-class Block(NamedTuple):
-    """A closed block: what its samples come to, in b at its start, and their plain sums."""
-
-    rotation: Vector  # (3, 3)
-    dv: Vector  # (3,) m/s
-    turned: Vector  # (3,) rad
-    pushed: Vector  # (3,) m/s
-    dt: float
-
-
 def standing(
     work: Callable[[Standing[Own], Block], tuple[Standing[Own], str | None]],
 ) -> Callable[[Standing[Own], Sample], tuple[Standing[Own], AlignStatus]]:
@@ -241,21 +256,20 @@ def standing(
 
     def step(state: Standing[Own], sample: Sample) -> tuple[Standing[Own], AlignStatus]:
         """Work in inertial samples; wheels and GNSS may contradict the rest."""
-        config, still, status, own, biases = state
+        config, before, status, own, biases = state
         if isinstance(sample, ImuSample):
             reason = fault(sample)
-            still = add(still, sample, biases[:3], biases[3:])
-            state = Standing(config, still, status, own, biases)
-            if reason is None and full(still):
-                p = still.block
-                block = Block(p[R].reshape(3, 3), p[V], p[_TURN], p[_PUSH], float(p[DT]))
-                still, reason = close(still, config)
-                state = Standing(config, still, status, own, biases)
-                if reason is None:
-                    state, reason = work(state, block)
+            still, full = add(before, sample, biases)
         else:
-            still, reason = aid(still, sample)
+            still, reason = aid(before, sample)
+            full = False
+        block = None
+        if full and reason is None:
+            still, block, reason = close(still, config, sample.t_ns)
+        if still is not before:
             state = Standing(config, still, status, own, biases)
+        if block is not None and reason is None:
+            state, reason = work(state, block)
         if reason is not None:
             return state, state.status._replace(done=False, refusal=reason)
         return state, state.status

@@ -210,7 +210,8 @@ def advance(run: Run, sample: Sample) -> tuple[Run, AlignStatus]:
         return run._replace(stage=0, state=state, restarts=run.restarts + 1), status._replace(progress=0.0)
     if not status.done:
         # for nearly every sample: written out, which is faster than replacing by name
-        run = Run(run.alignment, run.config, run.watched, run.stage, state, run.restarts)
+        if state is not run.state:
+            run = Run(run.alignment, run.config, run.watched, run.stage, state, run.restarts)
         estimate, covariance, limit, _, _, _, behind = status
         return run, AlignStatus(estimate, covariance, limit, progress, False, None, behind)
     if run.stage + 1 == len(stages):

@@ -7,9 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from nav.earth import geodetic_to_xyz, position_matrix
+from nav.earth import geodetic_to_xyz
 from nav.filter.history import Timeline
 from nav.filter.settings import NavigatorConfig
+from nav.jit import kernel
 from nav.types import BaroSample, GnssFix, OdoSample, SpeedSample, Vector
 
 _JOIN_NS: Final = 20_000_000  # samples of the odometer that are this far apart do not follow each other
@@ -17,6 +18,7 @@ _ZERO: Final = np.zeros(3)
 _UNIFORM: Final = 1.0 / math.sqrt(12.0)  # sigma of a part of one that may be any
 
 
+@kernel
 def earth_fixed(lat: float, lon: float, vector: Vector, sigmas: Vector) -> Vector:
     """Components (9,) in Earth-fixed axes of what a receiver at ``lat``, ``lon`` (rad) says of itself.
 
@@ -24,9 +26,18 @@ def earth_fixed(lat: float, lon: float, vector: Vector, sigmas: Vector) -> Vecto
     independent errors with ``sigmas`` (3,) along these axes. Next to a pole east and north of the receiver's
     place are not those of the place where the filter believes to be.
     """
-    C_eg = position_matrix(lat, lon)
-    covariance = (C_eg * np.square(sigmas)) @ C_eg.T
-    return np.concatenate([C_eg @ vector, covariance[0], covariance[1, 1:], covariance[2, 2:]])
+    sl, cl, so, co = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+    C_eg = ((-so, -sl * co, cl * co), (co, -sl * so, cl * so), (0.0, cl, sl))
+    e, n, u = sigmas[0] * sigmas[0], sigmas[1] * sigmas[1], sigmas[2] * sigmas[2]
+    out = np.empty(9)
+    place = 3
+    for i in range(3):
+        x, y, z = C_eg[i]
+        out[i] = x * vector[0] + y * vector[1] + z * vector[2]
+        for j in range(i, 3):
+            out[place] = x * e * C_eg[j][0] + y * n * C_eg[j][1] + z * u * C_eg[j][2]
+            place += 1
+    return out
 
 
 class Aiding:
@@ -39,6 +50,8 @@ class Aiding:
     def __init__(self, config: NavigatorConfig, timeline: Timeline) -> None:
         self._config = config
         self._timeline = timeline
+        horizontal, vertical = config.gnss_correlated
+        self._slow = np.square([horizontal, horizontal, vertical])  # m^2, of each axis
         self.mounted = False
         self._path_ns = 0
         self._start_ns = 0
@@ -61,9 +74,7 @@ class Aiding:
     def gnss(self, s: GnssFix) -> bool:
         """Enter the position of a fix, and its velocity when it has one."""
         config = self._config
-        horizontal, vertical = config.gnss_correlated
-        slow = np.array([horizontal, horizontal, vertical])
-        white = np.sqrt(np.maximum(np.square(s.sigma_position) - slow**2, 0.0))
+        white = np.sqrt(np.maximum(np.square(s.sigma_position) - self._slow, 0.0))
         white = np.maximum(white, config.gnss_position_floor)
         z = np.zeros(10)
         z[1:10] = earth_fixed(s.lat, s.lon, _ZERO, white)

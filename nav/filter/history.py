@@ -1,7 +1,7 @@
 """The filter in time: increments, snapshots and measurements kept, so that late data finds its own time.
 
 Updates are numbered from 0. The ring holds the increments of the latest of them, a snapshot of state
-and covariance is kept at every sixteenth, and the log holds every measurement in the order of its time.
+and covariance is kept at every eighth, and the log holds every measurement in the order of its time.
 A measurement that belongs before the present is entered in the log, and a second copy of the filter, the
 one at work, starts from the snapshot before it and goes through increments and log again. Meanwhile the
 live filter goes on; when the copy has caught up it takes the live one's place. What comes out is, to the
@@ -37,15 +37,25 @@ from nav.filter.propagate import (
 from nav.filter.records import NEVER, Filter, Record, Snapshots
 from nav.filter.recovery import PATIENCE, agree, inflate
 from nav.filter.states import X_PT
+from nav.jit import in_place
 from nav.types import ImuSample, S, Vector
 
 CAPACITY: Final = 2048
 """Updates kept."""
-STRIDE: Final = 16
+STRIDE: Final = 8
 """Updates between snapshots."""
 _BRIDGE_S: Final = 0.02  # longest update over a silence
 _OPEN: Final = float("inf")
 _JOIN_NS: Final = 10_000_000  # between the begin of a path and of the interval that it is compared with
+
+
+@in_place
+def _put(row: Vector, k: int, dtheta: Vector, dv: Vector) -> None:
+    """Put sample ``k`` into its row."""
+    o = ROW_D + 3 * k
+    p = o + 3 * int(row[ROW_N])
+    for i in range(3):
+        row[o + i], row[p + i] = dtheta[i], dv[i]
 
 
 class Timeline:
@@ -107,12 +117,8 @@ class Timeline:
         place = self._next(t_ns, dt, 0.0, noise, len(samples))
         live = self.live
         store = self._rows[place]
-        o = ROW_D
-        p = o + 3 * len(samples)
-        for sample in samples:
-            store[o : o + 3] = sample.dtheta
-            store[p : p + 3] = sample.dv
-            o, p = o + 3, p + 3
+        for k, sample in enumerate(samples):
+            _put(store, k, sample.dtheta, sample.dv)
         row = np.empty(S.SIZE)
         good = advance(live.x, live.P, self.par, self._scratch, store, self.rest, row)
         live.u += 1
