@@ -127,7 +127,7 @@ def _finish(state: Standing[Large]) -> NavInit:
     found = mean(bank)
     x = np.concatenate([_ZERO, _ZERO, found.drift, _ZERO])
     P = _covariance(config, bank, found)
-    given = nav_init(config, still.t_ns, place, sigma_of_place(config, still), found.C, x, P)
+    given = nav_init(config, still.t_ns, place, sigma_of_place(config, still), found.C, x, P, True)
     return replace(given, v_g=np.array([*found.velocity, 0.0]))
 
 
