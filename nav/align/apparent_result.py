@@ -79,6 +79,8 @@ def handed(
     J[9:12, _at(EPS)] = J[12:15, _at(NAB)] = _EYE
     P = J @ solved.P @ J.T
     P[0:3, 0:3] = np.diag(sigma_p**2)
+    if config.position is None:
+        P = handover.under_antenna(P, C_gb @ config.gnss_lever_arm)
     mounting = None if config.C_vb is None else np.full(3, config.sigma_mounting)
     biases = np.concatenate([solved.x[EPS], solved.x[NAB]])
     v_g, q_gb = C_gb0 @ v_b0, quat_from_dcm(C_gb)
