@@ -30,8 +30,8 @@ def lines_of(found: Sequence[Found], bound_deg: float) -> list[str]:
     lines.insert(1, "-" * max(map(len, lines)))
     lines.append(
         "angles and sigmas in deg; sigma, limit and error of heading, level the larger sigma of the other "
-        "two; limit what these sensors can do on a base that goes nowhere; times in s: when the sigma of "
-        "heading fell below the bound for good, and when it handed over"
+        "two; limit what these sensors can do on a base that goes nowhere (gnss: on its way); times in s: "
+        "when the sigma of heading fell below the bound for good, and when it handed over"
     )
     mounting = max((one.mounting_sigma_deg for one in found if one.error_deg is not None), default=0.0)
     if mounting > 0.0:
