@@ -36,6 +36,7 @@ COMMANDS: Final[dict[str, Command]] = {
     "import": Command("bridge.cli.import_", "make a capture of somebody else's recording"),
     "align": Command("bridge.cli.align", "run alignments on a capture and compare what they find"),
     "calibrate": Command("bridge.cli.calibrate", "make a calibration file of turntable captures"),
+    "arms": Command("bridge.cli.arms", "find where the accelerometers of a unit sit"),
     "plot": Command("bridge.cli.plot", "draw what is in a capture"),
     "check": Command("bridge.cli.check", "check a configuration without opening a bus"),
     "inspect": Command("bridge.cli.inspect", "say what is in a capture and what looks wrong"),

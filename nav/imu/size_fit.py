@@ -23,6 +23,8 @@ _GRAVITY_TERMS: Final = 4
 _EDGE: Final = 2  # samples at either end whose rates have no neighbours on both sides
 _FAINT: Final = 1e-9  # singular values below this share of the largest one are none
 _SEEN: Final = 1e-5
+_CLEAR: Final = 100.0
+"""How much stronger than what noise of the gyros makes of it an arm's own signal has to be, squared."""
 _ALONG: Final = ("right", "forward", "up")
 
 
@@ -56,8 +58,8 @@ def fit_arms(axes: Vector, dtheta: Vector, read: Vector, tau: float) -> Arms:
 
     ``axes`` (n, 3) sensitive axes by rows; ``dtheta`` (samples, 3) rad, compensated; ``read`` (samples, n)
     m/s, what each accelerometer says along its own axis, its scale compensated; ``tau`` s. Their noise
-    is taken as white and equal. Raises ValueError where the turns do not show a coefficient, naming it, or
-    where the samples are fewer than the unknowns.
+    is taken as white and equal. Raises ValueError where the turns do not show a coefficient, or show it no
+    better than noise of the gyros would, naming it, or where the samples are fewer than the unknowns.
     """
     n, count = len(axes), len(dtheta)
     inner = slice(_EDGE, count - _EDGE)
@@ -85,16 +87,29 @@ def fit_arms(axes: Vector, dtheta: Vector, read: Vector, tau: float) -> Arms:
     Q, R = np.linalg.qr(A / size)
     U, s, Vt = np.linalg.svd(R)
     kept = s > _FAINT * s[0]
+    root = Vt[kept].T / s[kept] / size[:, None]
     unseen = np.linalg.norm(Vt[~kept, : 3 * n], axis=0) > _SEEN
+    # what noise alone would show is weighed down by the noise, and looks as if it were known
+    signal = 1.0 / np.maximum(np.sum(root[: 3 * n] ** 2, axis=1), np.finfo(float).tiny)
+    unseen |= signal < _CLEAR * rows * _noise(axes, dtheta, tau)
     if unseen.any():
         names = [f"accelerometer {k // 3 + 1} {_ALONG[k % 3]}" for k in np.flatnonzero(unseen)]
         raise ValueError(f"the turns do not show the arm of {', '.join(names)}: turn about other axes too")
     x = (Vt[kept].T @ (U[:, kept].T @ (Q.T @ y) / s[kept])) / size
     left = y - A @ x
     variance = float(left @ left) / (len(y) - int(kept.sum()))
-    root = Vt[kept].T / s[kept] / size[:, None]
     covariance = variance * (root @ root.T)
     return Arms(x[: 3 * n].reshape(n, 3), covariance[: 3 * n, : 3 * n], float(np.sqrt(variance)))
+
+
+def _noise(axes: Vector, dtheta: Vector, tau: float) -> Vector:
+    """Variance that noise of the gyros gives the regressors of the arms, (3 n,), (m/s per m)^2."""
+    # fourth differences see no smooth motion, and 70 times the variance of white noise
+    white = np.mean(np.square(np.diff(dtheta, n=4, axis=0)), axis=0) / 70.0
+    # of the change of the rate, (-1, 8, 0, -8, 1) / 12 tau of increments
+    change = 130.0 / 144.0 * white / tau**2
+    across = np.cross(np.eye(3)[None], axes[:, None])
+    return np.asarray((across**2 @ change).ravel())
 
 
 def _turns(dtheta: Vector, change: Vector, tau: float) -> Vector:

@@ -221,6 +221,14 @@ def test_sigmas_of_arms_cover_their_errors():
     assert found.residual == pytest.approx(2e-3, rel=0.1)
 
 
+def test_what_noise_of_the_gyros_alone_shows_is_not_shown():
+    """It would come out as nothing, with a small sigma: what is regressed on is noise."""
+    dtheta, read = table([[0.0, 0.0, 1.0]], np.eye(3), ARMS)
+    noisy = dtheta + 5e-6 * np.random.default_rng(12).standard_normal(dtheta.shape)
+    with pytest.raises(ValueError, match="accelerometer 1 up, accelerometer 2 up, accelerometer 3 right"):
+        fit_arms(np.eye(3), noisy, read + 1e-6, TAU)
+
+
 def test_arms_that_turns_do_not_show_are_named():
     dtheta, read = table([[0.0, 0.0, 1.0]], np.eye(3), ARMS)
     with pytest.raises(ValueError, match="accelerometer 1 up, accelerometer 2 up, accelerometer 3 right"):
