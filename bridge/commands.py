@@ -69,7 +69,7 @@ class Reason(IntEnum):
     NO_BAROMETER = 8
 
 
-_LACKS: Final = {
+LACKS: Final = {
     "position": (Reason.NO_POSITION, "a GNSS receiver or a configured position"),
     "heading": (Reason.NO_HEADING, "a stored heading or an attitude in the configuration"),
     "gnss": (Reason.NO_GNSS, "a GNSS receiver"),
@@ -77,6 +77,7 @@ _LACKS: Final = {
     "speed": (Reason.NO_SPEED, "a speed"),
     "baro": (Reason.NO_BAROMETER, "a barometer"),
 }
+"""What an alignment may need, by the word for it: why it is refused without, and how that is said."""
 
 
 class Verdict(NamedTuple):
@@ -111,7 +112,7 @@ def judge(code: int, argument: int, lacking: Mapping[str, Mapping[str, str]]) ->
         if not lack:
             methods[navigator] = method
             continue
-        reason, needs = _LACKS[lack]
+        reason, needs = LACKS[lack]
         texts.append(f"{navigator}: alignment {method} refused: it needs {needs}")
     if reason is Reason.UNKNOWN_METHOD and not methods:
         texts.append(f"command refused: there is no alignment number {argument}")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge import arguments
+from bridge.cli.figures import writable
 from bridge.commands import METHODS
 
 
@@ -68,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         name = args.navigator if args.navigator in config.navigators else next(iter(config.navigators))
         methods = [config.navigators[name].alignment]
+    if args.out is not None and Path(args.out).suffix.lower() == ".png":
+        writable(Path(args.out))
     explain_wait(sys.stderr)
     found = run_methods(
         capture, config, methods, navigator=args.navigator, start_s=args.start, seconds=args.seconds
@@ -76,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
         print(report.json_of(found, args.bound), flush=True)
     else:
         print("\n".join(report.lines_of(found, args.bound)), flush=True)
+        if capture.damage:
+            print(f"cut off or damaged: {capture.damage}")
     if args.out is not None:
         _draw(Path(args.out), Path(args.capture).name, found, args)
     return 0 if any(one.ended_s is not None for one in found) else 1

@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     path = None if args.out is None else Path(args.out)
     if path is not None:
         # some figures take a minute: say what cannot be written before, not after
-        _writable(path)
+        writable(path)
     figure = load(args.name)
     options: dict[str, Any] = {}
     if runs:
@@ -84,7 +84,8 @@ def _titled(name: str, lines: list[str]) -> list[str]:
     return [f"{lines[0]} ({FIGURES[name].source})", *lines[1:]]
 
 
-def _writable(path: Path) -> None:
+def writable(path: Path) -> None:
+    """Raise OSError where a picture cannot be put, before it is computed."""
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not path.parent.is_dir():

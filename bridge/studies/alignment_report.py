@@ -8,6 +8,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+from bridge.commands import LACKS
 from bridge.studies.alignment_table import Found
 
 _HEADS = ("alignment", "heading", "pitch", "roll", "sigma", "limit", "level")
@@ -85,7 +86,7 @@ def _reasons(found: Sequence[Found]) -> list[str]:
     """What was not run and what was refused, and why; of which the same is true in one line."""
     told: dict[str, list[str]] = {}
     for one in found:
-        lacks = [f"not run, it needs {one.lacks}"] if one.lacks else []
+        lacks = [f"not run, it needs {LACKS[one.lacks][1]}"] if one.lacks else []
         for line in [*lacks, *refusals_of(one)]:
             told.setdefault(line, []).append(one.method)
     return [f"{', '.join(methods)}: {line}" for line, methods in told.items()]

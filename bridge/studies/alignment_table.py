@@ -135,6 +135,11 @@ class _Line:
         self._rows: list[tuple[int, AlignStatus]] = []
         self.done = False
 
+    @property
+    def begun(self) -> bool:
+        """Whether there was an inertial sample."""
+        return self._start_ns is not None
+
     def take(self, sample: Sample) -> None:
         """Give it the next sample."""
         inertial = isinstance(sample, ImuSample)
@@ -295,6 +300,7 @@ def run_methods(
             waiting = [line for line in waiting if not line.done]
         if not waiting:
             break
-    if first_ns is None and lines:
-        raise CaptureError(f"{capture.path}: found no inertial sample for navigator {name}")
+    if lines and not any(line.begun for line in lines.values()):
+        after = f" after {start_s:g} s" if first_ns is not None else ""
+        raise CaptureError(f"{capture.path}: found no inertial sample for navigator {name}{after}")
     return [lines[m].close() if m in lines else Found(m, lacks=lacks[m]) for m in methods]

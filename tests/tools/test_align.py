@@ -101,8 +101,8 @@ def test_all_of_them_are_run_or_say_why_not(
     skipped = {row.split()[0] for row in lines[2 : 2 + len(ALIGNMENTS)] if "not run" in row}
     assert pictures | skipped == set(ALIGNMENTS)
     assert not pictures & skipped
-    assert "stored: not run, it needs heading" in lines
-    assert "moving_gyrocompass, odometer: not run, it needs odometer" in lines
+    assert "stored: not run, it needs a stored heading or an attitude in the configuration" in lines
+    assert "moving_gyrocompass, odometer: not run, it needs an odometer" in lines
 
 
 def test_a_refusal_is_told(capture: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -123,6 +123,10 @@ def test_a_refusal_is_told(capture: Path, capsys: pytest.CaptureFixture[str], tm
 
 def test_later_and_no_navigator_and_no_alignment(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["align", str(capture), "--start", "30"]) == 1
+    assert main(["align", str(capture), "--start", "60"]) == 1
+    assert "no inertial sample for navigator main after 60 s" in capsys.readouterr().err
+    assert main(["align", str(capture), "--out", "no folder/picture.png"]) == 1
+    assert "no folder: No such file or directory" in capsys.readouterr().err
     assert main(["align", str(capture), "--navigator", "other"]) == 2
     assert 'no navigator "other", expected one of main' in capsys.readouterr().err
     assert main(["align", str(capture), "--method", "north"]) == 2
@@ -147,7 +151,7 @@ def test_what_is_told_of_several_is_told_once() -> None:
     *_, once, drives, not_run = lines_of([first, other, lacking], 1.0)
     assert once == "first, other: refused after 2.0 s: pushed: 0.2 m/s (and once more, till 4.0 s)"
     assert drives == "first: refused after 5.0 s: it drives"
-    assert not_run == "lacking: not run, it needs odometer"
+    assert not_run == "lacking: not run, it needs an odometer"
 
 
 def trace(sigma: list[float], error: list[float]) -> Found:
