@@ -130,10 +130,10 @@ GRADES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Triad:
-    """Coefficients of three gyros or three accelerometers, SI, as the textbook's eqs. (2-27), (2-28).
+    """Coefficients of n gyros or n accelerometers, SI, as the textbook's eqs. (2-27), (2-28).
 
-    Output per second = (axes @ input + bias + g_sensitivity @ f) / scale, where ``scale`` (3,) is the
-    size of a pulse and ``asymmetry`` (3,) the excess of pulses for positive over negative output.
+    Output per second = (axes @ input + bias + g_sensitivity @ f) / scale, where ``scale`` (n,) is the
+    size of a pulse and ``asymmetry`` (n,) the excess of pulses for positive over negative output.
     """
 
     scale: Array
@@ -154,14 +154,15 @@ class ImuErrors:
     serial: int
 
 
-def _off_diagonal(rng: np.random.Generator, sigma: float) -> Array:
-    out = rng.standard_normal((3, 3)) * sigma
-    np.fill_diagonal(out, 0.0)
-    return out
+def _aside(rng: np.random.Generator, axes: Array, sigma: float) -> Array:
+    """What is added to axes (n, 3), unit vectors: across them alone."""
+    out = rng.standard_normal(axes.shape) * sigma
+    return np.asarray(out - (out * axes).sum(axis=1, keepdims=True) * axes)
 
 
 def _draw_triad(
     rng: np.random.Generator,
+    nominal: Array,
     pulse: float,
     bias: float,
     scale: float,
@@ -170,27 +171,30 @@ def _draw_triad(
     g: float,
     k: float,
 ) -> tuple[Triad, Triad]:
+    n = len(nominal)
     sheet = Triad(
-        scale=pulse * (1.0 + k * scale * rng.standard_normal(3)),
-        bias=k * bias * rng.standard_normal(3),
-        axes=np.eye(3) + _off_diagonal(rng, k * axes),
-        asymmetry=np.zeros(3),
-        g_sensitivity=k * g * rng.standard_normal((3, 3)),
+        scale=pulse * (1.0 + k * scale * rng.standard_normal(n)),
+        bias=k * bias * rng.standard_normal(n),
+        axes=nominal + _aside(rng, nominal, k * axes),
+        asymmetry=np.zeros(n),
+        g_sensitivity=k * g * rng.standard_normal((n, 3)),
     )
     true = Triad(
-        scale=sheet.scale * (1.0 + scale * rng.standard_normal(3)),
-        bias=sheet.bias + bias * rng.standard_normal(3),
-        axes=sheet.axes + _off_diagonal(rng, axes),
-        asymmetry=asym * rng.standard_normal(3),
-        g_sensitivity=sheet.g_sensitivity + g * rng.standard_normal((3, 3)),
+        scale=sheet.scale * (1.0 + scale * rng.standard_normal(n)),
+        bias=sheet.bias + bias * rng.standard_normal(n),
+        axes=sheet.axes + _aside(rng, nominal, axes),
+        asymmetry=asym * rng.standard_normal(n),
+        g_sensitivity=sheet.g_sensitivity + g * rng.standard_normal((n, 3)),
     )
     return true, sheet
 
 
-def draw_imu(grade: Grade, rng: np.random.Generator) -> ImuErrors:
-    """One unit of a grade."""
+def draw_imu(grade: Grade, rng: np.random.Generator, axes: Array | None = None) -> ImuErrors:
+    """One unit of a grade; gyros and accelerometers along ``axes`` (n, 3), unit vectors, by default three."""
+    nominal = np.eye(3) if axes is None else axes
     gyro = _draw_triad(
         rng,
+        nominal,
         pulse=grade.gyro_arcsec_per_pulse * ARCSEC,
         bias=grade.gyro_bias_deg_per_h * DEG_PER_H,
         scale=grade.gyro_scale_ppm * PPM,
@@ -201,6 +205,7 @@ def draw_imu(grade: Grade, rng: np.random.Generator) -> ImuErrors:
     )
     accel = _draw_triad(
         rng,
+        nominal,
         pulse=grade.accel_m_s_per_pulse,
         bias=grade.accel_bias_ug * UG,
         scale=grade.accel_scale_ppm * PPM,

@@ -72,7 +72,7 @@ class Quantiser:
 
 
 class Imu:
-    """Three gyros and three accelerometers giving pulse counts, arranged in some way."""
+    """As many gyros as accelerometers (three on a bus) giving pulse counts, arranged in some way."""
 
     def __init__(
         self,
@@ -90,26 +90,28 @@ class Imu:
         self._rng = rng
         self._faults = faults
         size = 1.0 if noise else 0.0
+        n = len(errors.gyro.scale)
         instability = np.repeat(
-            [grade.gyro_instability_deg_per_h * DEG_PER_H, grade.accel_instability_ug * UG], 3
+            [grade.gyro_instability_deg_per_h * DEG_PER_H, grade.accel_instability_ug * UG], n
         )
-        self._instability = GaussMarkov(size * instability, grade.correlation_s, 6, rng)
+        self._instability = GaussMarkov(size * instability, grade.correlation_s, 2 * n, rng)
         self._random_walk = size * np.repeat(
             [
                 grade.gyro_random_walk_deg_per_sqrt_h * DEG_PER_SQRT_H,
                 grade.accel_random_walk_ug_per_sqrt_hz * UG,
             ],
-            3,
+            n,
         )
-        self._quantiser = Quantiser(6)
-        self._last = np.zeros(6, np.int64)
+        self._sensors = 2 * n
+        self._quantiser = Quantiser(2 * n)
+        self._last = np.zeros(2 * n, np.int64)
 
     def restart(self) -> None:
         """Power on: no fraction of a pulse is left."""
-        self._quantiser = Quantiser(6)
+        self._quantiser = Quantiser(self._sensors)
 
     def block(self, t_ns: Times) -> tuple[Counts, NDArray[np.bool_]]:
-        """Counts (n-1, 6) gyro and accelerometer, and saturation flags, between times ``t_ns`` (n,).
+        """Counts (n-1, 6), gyros first, and saturation flags, between times ``t_ns`` (n,).
 
         A count beyond 16 bits is cut off and flagged, and the excess is lost, as in a real counter.
         """
@@ -129,7 +131,7 @@ class Imu:
         for stuck in self._faults.of(StuckAccel):
             during = stuck.during(t_ns[1:])
             if during.any():
-                first, column = int(np.argmax(during)), 3 + stuck.axis
+                first, column = int(np.argmax(during)), self._sensors // 2 + stuck.axis
                 counts[during, column] = counts[first - 1, column] if first else self._last[column]
         self._last = counts[-1]
         return counts, saturated

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from bridge import arguments
 from bridge.commands import METHODS
+from nav.imu.geometry import GEOMETRIES
 
 if TYPE_CHECKING:
     from bridge.studies.workers import Progress
@@ -78,7 +79,14 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
     )
     _common(units)
     units.add_argument(
-        "--plan", default="positions_12", help="a packaged plan or a TOML file (default: positions_12)"
+        "--plan",
+        help="a packaged plan or a TOML file (default: positions_12, for other axes than three positions_18)",
+    )
+    units.add_argument(
+        "--geometry",
+        choices=list(GEOMETRIES),
+        default="orthogonal",
+        help="of gyros and of accelerometers: three along x, y, z, these and two askew, or six on a cone",
     )
     units.add_argument(
         "--grade", action="append", metavar="NAME", help="fog, mems or rlg; may be given again (default: all)"
@@ -158,10 +166,18 @@ def _calibration(args: argparse.Namespace, progress: Progress | None) -> int:
         if grade not in study.NAMES:
             expected = ", ".join(study.NAMES)
             raise ConfigError(f'--grade: found "{grade}", expected one of {expected}')
-    plan, site = load(args.plan), Site(*args.site)
+    usual = "positions_12" if args.geometry == "orthogonal" else "positions_18"
+    plan, site = load(args.plan or usual), Site(*args.site)
     every = [
         study.run_calibrations(
-            plan, site, grade, args.runs, seed_base=args.seed_base, jobs=args.jobs, progress=progress
+            plan,
+            site,
+            grade,
+            args.runs,
+            geometry=args.geometry,
+            seed_base=args.seed_base,
+            jobs=args.jobs,
+            progress=progress,
         )
         for grade in grades
     ]

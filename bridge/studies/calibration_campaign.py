@@ -23,13 +23,14 @@ from nav.calibrate.model import NUISANCE, Model
 from nav.calibrate.segments import segment
 from nav.calibrate.solve import Noise, fit
 from nav.calibrate.stream import Nominal, Stream
+from nav.imu.geometry import GEOMETRIES
 from nav.types import Vector
 from virtual_bus.faults import Faults
 from virtual_bus.grades import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, GRADES, UG, Grade, ImuErrors, draw_imu
 from virtual_bus.sensors import Imu, generator
 from virtual_bus.turntable import Turntable
 
-RATE_HZ: Final = 50.0
+RATE_HZ: Final = 25.0  # the slowest at which 20 deg/s leave the counters of every grade room
 NAMES: Final = tuple(sorted(GRADES))
 COVERAGE: Final = (0.93, 0.975)
 """Between these the share of errors within two sigmas must be, all coefficients of all runs together."""
@@ -62,6 +63,7 @@ class Rounds:
 
     plan: str
     grade: str
+    geometry: str
     names: tuple[str, ...]
     rounds: tuple[Round, ...]
 
@@ -112,32 +114,35 @@ def run_calibrations(
     grade: str,
     runs: int,
     *,
+    geometry: str = "orthogonal",
     seed_base: int = 0,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> Rounds:
-    """Calibrate ``runs`` units of a grade by a plan.
+    """Calibrate ``runs`` units of a grade and of one of the `GEOMETRIES` by a plan.
 
     Raises:
         ConfigError: nobody said where the table stands.
         CalibrationError: the plan does not show every coefficient.
     """
     _, place = plan.at(site)
-    model = model_of(plan, place, nominal_of(GRADES[grade]))
+    model = model_of(plan, place, nominal_of(GRADES[grade], GEOMETRIES[geometry]))
     look(plan, model, noise_of(GRADES[grade]))
     found: dict[int, Round] = {}
-    for one in each(partial(_one, plan, site, grade), range(seed_base, seed_base + runs), jobs):
+    for one in each(partial(_one, plan, site, grade, geometry), range(seed_base, seed_base + runs), jobs):
         found[one.seed] = one
         if progress is not None:
             progress(len(found), runs)
     rounds = tuple(found[seed] for seed in sorted(found))
-    return Rounds(plan.title, grade, model.names[: -len(NUISANCE)], rounds)
+    return Rounds(plan.title, grade, geometry, model.names[: -len(NUISANCE)], rounds)
 
 
-def nominal_of(grade: Grade) -> Nominal:
-    """A unit as its data sheet has it: pulses of the nominal size, no bias, axes along b."""
+def nominal_of(grade: Grade, axes: Vector | None = None) -> Nominal:
+    """A unit as its data sheet has it: nominal pulses, no bias; ``axes`` (n, 3) by default b's."""
+    axes = np.eye(3) if axes is None else axes
     pulses = (grade.gyro_arcsec_per_pulse * ARCSEC, grade.accel_m_s_per_pulse)
-    return Nominal(3, np.vstack((np.eye(3), np.eye(3))), np.repeat(pulses, 3), np.zeros(6))
+    n = len(axes)
+    return Nominal(n, np.vstack((axes, axes)), np.repeat(pulses, n), np.zeros(2 * n))
 
 
 def noise_of(grade: Grade) -> Noise:
@@ -151,14 +156,16 @@ def noise_of(grade: Grade) -> Noise:
     )
 
 
-def counted(table: Turntable, grade: Grade, seed: int) -> tuple[Stream, ImuErrors, Vector]:
+def counted(
+    table: Turntable, grade: Grade, seed: int, axes: Vector | None = None
+) -> tuple[Stream, ImuErrors, Vector]:
     """What a unit of a grade counts on the table, the unit, and the table's errors (4,) as in the model.
 
     The random streams are those of a bench with the same seed.
     """
     delta, gravity = table.drawn(generator(seed, "vehicle/mounting"))
     trajectory = table.trajectory(table.seconds(), generator(seed, "vehicle/mounting"))
-    unit = draw_imu(grade, generator(seed, "imu/unit"))
+    unit = draw_imu(grade, generator(seed, "imu/unit"), axes)
     imu = Imu(trajectory, grade, unit, generator(seed, "imu"), Faults([]))
     rate = round(table.imu.rate_hz)
     count = int(table.seconds() * rate)
@@ -171,28 +178,32 @@ def counted(table: Turntable, grade: Grade, seed: int) -> tuple[Stream, ImuError
 
 
 def truth(model: Model, unit: ImuErrors) -> Vector:
-    """The true coefficients of a unit of three gyros and three accelerometers, in the order of ``model``."""
+    """The true coefficients of a unit, in the order of ``model``."""
     values = []
+    gyros = len(unit.gyro.scale)
     for place, one in enumerate(model.sensors):
-        triad, k = (unit.gyro, place) if one.gyro else (unit.accel, place - 3)
-        # pulses of positive output are more by half the asymmetry, so each is smaller by that
-        plus = triad.scale[k] / (1.0 + 0.5 * triad.asymmetry[k])
-        minus = triad.scale[k] / (1.0 - 0.5 * triad.asymmetry[k])
+        triad, k = (unit.gyro, place) if one.gyro else (unit.accel, place - gyros)
+        # a model's axis is as long as makes its part along the nominal one 1, and pulses of positive output
+        # are more by half the asymmetry, so each is smaller by that
+        along = float(one.axis @ triad.axes[k])
+        plus = triad.scale[k] / (1.0 + 0.5 * triad.asymmetry[k]) / along
+        minus = triad.scale[k] / (1.0 - 0.5 * triad.asymmetry[k]) / along
         own = {
             "scale": 0.5 * (plus + minus) / one.scale - 1.0,
             "asymmetry": (minus - plus) / one.scale,
-            "bias": triad.bias[k],
-            **{one.angle_of(side): float(one.across[:, side] @ triad.axes[k]) for side in (0, 1)},
-            **{f"g sensitivity {x}": g for x, g in zip("xyz", triad.g_sensitivity[k], strict=True)},
+            "bias": triad.bias[k] / along,
+            **{one.angle_of(side): float(one.across[:, side] @ triad.axes[k]) / along for side in (0, 1)},
+            **{f"g sensitivity {x}": g / along for x, g in zip("xyz", triad.g_sensitivity[k], strict=True)},
         }
         values += [float(own[term]) for term in one.terms]
     return np.array(values)
 
 
-def _one(plan: Plan, site: Site | None, grade: str, seed: int) -> Round:
+def _one(plan: Plan, site: Site | None, grade: str, geometry: str, seed: int) -> Round:
     table = scenario_of(plan, site, grade, RATE_HZ)
-    nominal, noise = nominal_of(GRADES[grade]), noise_of(GRADES[grade])
-    stream, unit, wrong = counted(table, GRADES[grade], seed)
+    axes = GEOMETRIES[geometry]
+    nominal, noise = nominal_of(GRADES[grade], axes), noise_of(GRADES[grade])
+    stream, unit, wrong = counted(table, GRADES[grade], seed, axes)
     intervals = segment([stream], plan.steps, nominal, [1.0])
     model = model_of(plan, plan.at(site)[1], nominal)
     found = fit(model, intervals, noise)
@@ -204,8 +215,8 @@ def _one(plan: Plan, site: Site | None, grade: str, seed: int) -> Round:
 
 def lines(every: Sequence[Rounds]) -> list[str]:
     """The table for people."""
-    head = f"{'grade':<6} {'runs':>5} {'coefficients':>13} {'within 2 sigma':>15} {'band':>16} {'largest':>8}"
-    rows = [every[0].plan, f"{head} {'table':>6} {'chi2/dof':>9} {'steps':>6}"]
+    head = f"{'grade':<6} {'axes':<10} {'runs':>5} {'coefficients':>13} {'within 2 sigma':>15} {'band':>16}"
+    rows = [every[0].plan, f"{head} {'largest':>8} {'table':>6} {'chi2/dof':>9} {'steps':>6}"]
     for one in every:
         low, high = one.band
         count = len(one.rounds)
@@ -213,8 +224,8 @@ def lines(every: Sequence[Rounds]) -> list[str]:
         chi2 = np.mean([r.chi2 / r.freedom for r in one.rounds])
         steps = max(r.steps for r in one.rounds)
         rows.append(
-            f"{one.grade:<6} {count:>5} {len(one.names):>13} {100 * one.coverage:>13.2f} % "
-            f"{100 * low:>6.1f} to {100 * high:>5.1f} % {one.largest:>7.2f} "
+            f"{one.grade:<6} {one.geometry:<10} {count:>5} {len(one.names):>13} "
+            f"{100 * one.coverage:>13.2f} % {100 * low:>6.1f} to {100 * high:>5.1f} % {one.largest:>7.2f} "
             f"{100 * np.mean(np.abs(table) < 2.0):>5.1f} % {chi2:>8.2f} {steps:>6}"
         )
         rows += [f"  seed {r.seed}: {r.false}" for r in one.rounds if r.false is not None]
@@ -228,6 +239,7 @@ def document(every: Sequence[Rounds]) -> dict[str, Any]:
         "plan": every[0].plan,
         "grades": {
             one.grade: {
+                "geometry": one.geometry,
                 "runs": len(one.rounds),
                 "coverage": one.coverage,
                 "band": one.band,

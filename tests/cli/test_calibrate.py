@@ -22,6 +22,7 @@ from bridge.recording import Capture
 from bridge.studies import calibration_campaign as study
 from bridge.studies.turntable import scenario_of
 from nav.calibrate.model import NUISANCE
+from nav.imu.geometry import GEOMETRIES
 from virtual_bus.bus import CALIBRATION, Bench
 from virtual_bus.sensors import generator
 
@@ -239,7 +240,9 @@ def test_a_plan_alone_promises_sigmas(bench, capsys):
 @pytest.mark.parametrize("name", packaged())
 def test_packaged_plans_show_everything(name):
     plan = load(name)
-    model = calibrating.model_of(plan, plan.at(Site(45.0, 0.0))[1], study.nominal_of(study.GRADES["fog"]))
+    axes = GEOMETRIES["skew" if name == "positions_18" else "orthogonal"]
+    nominal = study.nominal_of(study.GRADES["fog"], axes)
+    model = calibrating.model_of(plan, plan.at(Site(45.0, 0.0))[1], nominal)
     assert calibrating.look(plan, model, study.noise_of(study.GRADES["fog"])).unseen == ()
     with pytest.raises(ConfigError, match="expected \\[site\\] with lat_deg and height_m, or --site"):
         plan.at(None)
@@ -283,3 +286,16 @@ def test_a_few_rounds_of_the_campaign():
     assert len(found.names) == 39
     low, high = found.band
     assert low < found.coverage <= high == 1.0
+
+
+@pytest.mark.parametrize(("geometry", "coefficients"), [("skew", 65), ("cone", 78)])
+def test_a_round_with_more_than_three_axes(geometry, coefficients):
+    found = study.run_calibrations(load("positions_18"), Site(45.0, 0.0), "fog", 1, geometry=geometry)
+    assert found.passed, study.lines([found])
+    assert len(found.names) == coefficients
+
+
+def test_face_positions_are_refused_for_the_skewed_axes():
+    said = "accelerometer 4 asymmetry and accelerometer 4 bias one from another; accelerometer 5 asymmetry"
+    with pytest.raises(CalibrationError, match=said):
+        study.run_calibrations(load("positions_12"), Site(45.0, 0.0), "fog", 1, geometry="skew")

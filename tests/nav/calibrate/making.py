@@ -11,6 +11,7 @@ from nav.calibrate.intervals import Interval, Place, place_at
 from nav.calibrate.model import LETTERS, Model, Terms, sensor
 from nav.calibrate.plan import Position, Rotation, Step, faces, planned
 from nav.calibrate.solve import Noise
+from nav.imu.geometry import with_skew
 
 DEG = np.pi / 180.0
 ARCSEC = DEG / 3600.0
@@ -20,16 +21,8 @@ NOISE = Noise(0.01 * DEG / 60.0, 0.03 * DEG / 3600.0, 40e-6 * G, 20e-6 * G, 1800
 TABLE_2_12 = ("SUW", "NUE", "UWS", "DWN", "NWU", "SWD", "NDW", "SDE")
 FACES_12 = ("UNW", "USE", "DNE", "DSW", "NUE", "SUW", "NDW", "SDE", "NWU", "SEU", "NED", "SWD")
 AXES = np.eye(3)
-SKEW = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]]) / np.sqrt(3.0)
-"""S and T of the ten-sensor unit of Luo Rui et al. 2023: 54.74 deg from x, y, z."""
-ORTHOGONAL_AND_SKEW = np.vstack((AXES, SKEW))
-
-
-def cone(half_angle: float = 54.74 * DEG) -> np.ndarray:
-    """Six axes on a cone about x, evenly spaced: the twelve-sensor unit of the same paper."""
-    place = np.arange(6) * np.pi / 3.0
-    along = np.full(6, np.cos(half_angle))
-    return np.stack((along, np.sin(half_angle) * np.cos(place), np.sin(half_angle) * np.sin(place)), axis=1)
+ORTHOGONAL_AND_SKEW = with_skew()
+SKEW = ORTHOGONAL_AND_SKEW[3:]
 
 
 def rotations(rate_deg: float = 10.0, turns: int = 1) -> list[Step]:

@@ -9,6 +9,7 @@ from nav.calibrate.model import NUISANCE
 from nav.calibrate.observability import observe, propose
 from nav.calibrate.plan import Position, Rotation, faces, letters_of
 from nav.calibrate.solve import fit
+from nav.imu.geometry import cone
 from tests.nav.calibrate.making import (
     AXES,
     FACES_12,
@@ -17,7 +18,6 @@ from tests.nav.calibrate.making import (
     SKEW,
     TABLE_2_12,
     Unit,
-    cone,
     model,
     place,
     positions,

@@ -11,6 +11,7 @@ from nav.calibrate.intervals import covariance
 from nav.calibrate.model import Terms
 from nav.calibrate.plan import Position, planned
 from nav.calibrate.solve import fit
+from nav.imu.geometry import cone
 from tests.nav.calibrate.making import (
     ARCSEC,
     AXES,
@@ -20,7 +21,6 @@ from tests.nav.calibrate.making import (
     TABLE_2_12,
     G,
     Unit,
-    cone,
     model,
     place,
     positions,
