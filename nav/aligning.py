@@ -14,6 +14,8 @@ from nav.rotation import dcm_from_quat, quat_from_dcm
 from nav.types import Mode, S, Sample, Solution, SolutionFlag, Vector
 
 _REPORT_NS: Final = 100_000_000
+UNSAID_NS: Final = 100_000_000
+"""Stored samples and late data that are worked off within this long change no mode."""
 
 
 class Aligning:
@@ -69,7 +71,7 @@ class Aligning:
             self._behind_ns = None
         elif self._behind_ns is None:
             self._behind_ns = t
-        self.behind = self._behind_ns is not None and t - self._behind_ns >= _REPORT_NS
+        self.behind = self._behind_ns is not None and t - self._behind_ns >= UNSAID_NS
         if t >= self._report_ns:
             self._report_ns = t + _REPORT_NS
             self._report(t, status, events)

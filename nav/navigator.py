@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from nav.align import ALIGNMENTS, NavInit
-from nav.aligning import Aligning
+from nav.aligning import UNSAID_NS, Aligning
 from nav.events import ModeChange, NavEvent, Notice, Refusal
 from nav.filter.aiding import Aiding
 from nav.filter.history import Timeline
@@ -72,6 +72,7 @@ class Navigator:
         self._gap_ns: int | None = None
         self._rest_ns: int | None = None
         self._degraded: str | None = None
+        self._behind_ns: int | None = None  # late data is being worked in since then
         self._search = MountingSearch()
         self._flags = 0
 
@@ -166,7 +167,7 @@ class Navigator:
         self._pending = []
         self._imu_ns = init.t_ns
         self._check_ns = init.t_ns
-        self._gap_ns = self._rest_ns = self._degraded = None
+        self._gap_ns = self._rest_ns = self._degraded = self._behind_ns = None
         self._aiding.begin(init.t_ns, mounted)
         self._flags = _ALIGNED
         self._change(init.t_ns, Mode.NAVIGATE, reason)
@@ -267,9 +268,13 @@ class Navigator:
         timeline = self._timeline
         timeline.catch_up()
         if timeline.behind:
-            if self.mode is not Mode.CATCH_UP:
+            if self._behind_ns is None:
+                self._behind_ns = timeline.t_ns
+            if timeline.t_ns - self._behind_ns >= UNSAID_NS:
                 self._change(timeline.t_ns, Mode.CATCH_UP, "late data")
-        elif self.mode is Mode.CATCH_UP:
+            return
+        self._behind_ns = None
+        if self.mode is Mode.CATCH_UP:
             if timeline.solution() is None:
                 self._change(timeline.t_ns, Mode.FAULT, "the state is not finite")
             else:

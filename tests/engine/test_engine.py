@@ -286,7 +286,7 @@ def test_commands_from_the_console() -> None:
 
 def test_without_autostart_it_waits_for_a_command() -> None:
     files = dict(bench_frames()[0])
-    text = files[ATTACHMENT].decode().replace("[navigator.main]", "[navigator.main]\nautostart = false")
+    text = files[ATTACHMENT].decode().replace("autostart = true", "autostart = false")
     files[ATTACHMENT] = text.encode()
     engine = Engine(Config.from_files(files))
     outputs = fed(engine, bench_frames()[1][:5000])

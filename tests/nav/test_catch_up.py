@@ -14,13 +14,13 @@ from nav.align import ALIGNMENTS, AlignConfig, Alignment, AlignStatus, NavInit
 from nav.align.static import COARSE
 from nav.align.store import Store, Sweep, Track, is_behind, portion
 from nav.align.types import Stage
-from nav.events import AlignmentProgress, ModeChange, Refusal
+from nav.events import AlignmentProgress, Innovation, ModeChange, Refusal
 from nav.navigator import ImuErrors, Navigator, NavigatorConfig
 from nav.strapdown.control import control
 from nav.strapdown.kernels import X_C, X_H, X_HEAD, X_Q, integrate
 from nav.strapdown.reverse import integrate_back
-from nav.types import Mode, Solution
-from tests.nav.truth import Drive, samples
+from nav.types import Mode, OdoSample, Solution
+from tests.nav.truth import Drive, hand_over, play, samples
 
 DT = 1e-3
 LAT, LON, HEIGHT = 0.8, 0.2, 300.0
@@ -219,3 +219,15 @@ def test_the_rapid_gyrocompass_at_1_khz(monkeypatch: pytest.MonkeyPatch, record_
     assert next(s.t_ns for s in first.solutions if s.mode is Mode.NAVIGATE) == inertial[handed + 2].t_ns
     assert_the_same(first, again)
     tell(record_property, again, behind)
+
+
+def test_a_standstill_that_its_wheel_confirms_changes_no_mode_at_1_khz() -> None:
+    """It is confirmed long after its end: more updates than a call works off are gone through again."""
+    navigator = Navigator(NavigatorConfig(GOOD))
+    navigator.begin(hand_over(STILL))
+    wheel = [(t, OdoSample(round(t * 1e9), 0.02, 0.0, True, "odo")) for t in np.arange(0.02, 4.0, 0.02)]
+    solutions, events = play(navigator, samples(*STILL.increments(4000, DT), DT), wheel)
+    assert not [e for e in events if isinstance(e, ModeChange) and e.new is not Mode.NAVIGATE]
+    assert {s.mode for s in solutions} == {Mode.NAVIGATE}
+    confirmed = [e.t_ns for e in events if isinstance(e, Innovation) and e.kind == "zero_velocity"]
+    assert len(confirmed) >= 3

@@ -28,9 +28,11 @@ ALIGN_S = 4.0
 GNSS_S = 1.0
 GAP_S = 0.5
 TINY = 1e-6  # of float times, where the navigator counts nanoseconds
-BUDGET = 20  # stored updates a call works off; a snapshot is at most 16 updates back
+BUDGET = 5  # stored updates a call works off; a snapshot is at most 8 updates back
 LATE_S = 3.05  # 30 updates
-CATCHING = 8  # samples: 30 and 17 updates and as many stops for fixes, 20 a sample, one more every second
+CATCHING = 18  # samples: 30 and 9 updates and half as many stops for fixes, 5 a sample, one more every second
+SOON = 4  # samples: 2 and 9 updates, and stops
+SAID = 3  # samples: after a tenth of a second, at the end of an update, it is said that this takes time
 EARLY, SLACK = 0.11, 0.26  # looked at every 0.1 s, at the end of an update of 0.1 s
 
 STILL = Drive(radius=0.0, sway=0.0, nod=0.0)
@@ -76,16 +78,17 @@ class Model:
         self.fix_s = 0.0  # last one that counted
         self.unseen_s = -math.inf  # until then the navigator could not see whether fixes come
         self.behind = 0  # samples for which late data may still be worked in
+        self.unsaid = 0  # samples after which that must have been said
         self.before, self.before_fix_s = Mode.NAVIGATE, 0.0  # when that began
         self.poisoned = 0  # samples after which a number that is none must have been noticed
 
     def align(self, now: float) -> set[Mode]:
-        self.behind = self.poisoned = 0
+        self.behind = self.unsaid = self.poisoned = 0
         self.aligned_after, self.aligned_by = now + ALIGN_S - EARLY, now + ALIGN_S + SLACK
         return {Mode.ALIGN}
 
     def navigate(self, now: float) -> set[Mode]:
-        self.behind = self.poisoned = 0
+        self.behind = self.unsaid = self.poisoned = 0
         self.begun_s = self.fix_s = now
         self.unseen_s = -math.inf
         return {Mode.NAVIGATE}
@@ -110,8 +113,13 @@ class Model:
             self.poisoned = 3
         if self.poisoned:
             self.poisoned -= 1
+            self.unsaid = 0
             return {Mode.FAULT, self.mode, *self.aided(now)} if self.poisoned else {Mode.FAULT}
-        return self.aided(now)
+        possible = self.aided(now)
+        if self.unsaid:
+            self.unsaid -= 1
+            return possible if self.unsaid else {Mode.CATCH_UP}
+        return possible
 
     def aided(self, now: float) -> set[Mode]:
         without = now - self.fix_s
@@ -140,9 +148,11 @@ class Model:
                 self.unseen_s = now
             self.fix_s = made
         if late:
-            surely = now - made > LATE_S - 0.1
-            self.behind = max(self.behind, CATCHING if surely else 2)
-            return {Mode.CATCH_UP} if surely else {self.mode, *self.aided(now)}
+            long = now - made > LATE_S - 0.1
+            if long and not self.behind:
+                self.unsaid = SAID
+            self.behind = max(self.behind, CATCHING if long else SOON)
+            return {self.mode, *self.aided(now)}
         if self.mode is Mode.NAVIGATE and now - self.imu_s > GAP_S + TINY:
             return {Mode.DEGRADED}
         return {self.mode, *self.aided(now)} if self.behind else {self.mode}
