@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
@@ -114,7 +114,7 @@ class Live:
     def run(self, seconds: float | None = None) -> Outcome:
         """Run for ``seconds`` of the clock, until the bench has nothing more, a signal or `stop`."""
         clock = self._clock
-        with _signals(self):
+        with signals(self.stop):
             start_ns = self._last_ns = self._latency_ns = clock.monotonic_ns()
             end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
             self._event(start_ns, Event.START, {"utc_ns": clock.utc_ns(), "monotonic_ns": start_ns})
@@ -259,11 +259,11 @@ def health_document(health: Health) -> dict[str, Any]:
 
 
 @contextmanager
-def _signals(live: Live) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end the loop in order; a second one ends the program at once."""
+def signals(stop: Callable[[str], object]) -> Iterator[None]:
+    """Ctrl-C and SIGTERM call ``stop`` with the reason; a second one ends the program at once."""
 
     def handle(number: int, frame: FrameType | None) -> None:
-        live.stop(f"stopped by {signal.Signals(number).name}")
+        stop(f"stopped by {signal.Signals(number).name}")
         for each, old in before.items():
             signal.signal(each, old)
 

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Final
 
 import can
 
 from bridge import arguments
 from bridge.cli.bench_options import add_bench_options, epilog
 from bridge.errors import ConfigError, SourceError
+from bridge.live import signals
 from bridge.sources.can_help import reason
 from virtual_bus import scenario
 from virtual_bus.bus import Bench, Sent
 from virtual_bus.grades import GRADES
 
 _TURNTABLE = "turntable"
+_NAP_S: Final = 0.1  # after which it is looked whether somebody stops it
 
 
 def add_parser(subparsers: Any) -> argparse.ArgumentParser:
@@ -85,21 +87,18 @@ def run(args: argparse.Namespace) -> int:
         buses = {name: stack.enter_context(_open(bench, name, args)) for name in bench.channels}
         where = ", ".join(sorted({_channel(bench, name, args) for name in bench.channels}))
         print(f"{bench.scenario.title}: {bench.seconds:g} s on {args.interface} {where}", flush=True)
-        before = signal.signal(signal.SIGTERM, _terminate)
         begin_ns = time.monotonic_ns()
+        told: list[str] = []
         try:
-            late_ns = _pace(bench, buses, args.speed, begin_ns, sent)
-            stopped = ""
-        except KeyboardInterrupt as error:
-            late_ns, stopped = int(error.args[0]) if error.args else 0, "stopped: "
+            with signals(told.append):  # between frames: what was sent is counted
+                late_ns = _pace(bench, buses, args.speed, begin_ns, sent, told)
         except can.CanError as error:
             raise SourceError(
                 f"{args.interface} {where}: cannot send: {reason(error, args.interface, where)}"
             ) from error
-        finally:
-            signal.signal(signal.SIGTERM, before)
     seconds = (time.monotonic_ns() - begin_ns) * 1e-9
     total = sum(sent.frames.values())
+    stopped = f"{told[0]}: " if told else ""
     line = f"{stopped}{total} frames sent in {seconds:.1f} s, send buffer full {sent.full} times"
     if math.isfinite(args.speed):
         line += f", worst lateness {late_ns * 1e-6:.1f} ms"
@@ -148,24 +147,26 @@ def _record(bench: Bench, out: str) -> int:
     return 0
 
 
-def _pace(bench: Bench, buses: dict[str, can.BusABC], speed: float, begin_ns: int, sent: Sent) -> int:
-    """Send every frame at its own time after ``begin_ns``; returns the worst lateness in ns."""
+def _pace(
+    bench: Bench, buses: dict[str, can.BusABC], speed: float, begin_ns: int, sent: Sent, told: Sequence[str]
+) -> int:
+    """Send every frame at its own time after ``begin_ns`` until there is a word in ``told``.
+
+    Returns the worst lateness in ns.
+    """
     worst = 0
-    try:
-        while (due_ns := bench.next_ns) is not None and due_ns <= bench.end_ns:
-            if not math.isfinite(speed):
-                bench.send_due(buses, due_ns, sent)
-                continue
-            # each deadline is counted from the beginning, so lateness never adds up
-            deadline_ns = begin_ns + round(due_ns / speed)
-            now_ns = time.monotonic_ns()
-            if now_ns < deadline_ns:
-                time.sleep((deadline_ns - now_ns) * 1e-9)
-                now_ns = time.monotonic_ns()
-            worst = max(worst, now_ns - deadline_ns)
-            bench.send_due(buses, min(round((now_ns - begin_ns) * speed), bench.end_ns), sent)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(worst) from None
+    while not told and (due_ns := bench.next_ns) is not None and due_ns <= bench.end_ns:
+        if not math.isfinite(speed):
+            bench.send_due(buses, due_ns, sent)
+            continue
+        # each deadline is counted from the beginning, so lateness never adds up
+        deadline_ns = begin_ns + round(due_ns / speed)
+        now_ns = time.monotonic_ns()
+        if now_ns < deadline_ns:
+            time.sleep(min(_NAP_S, (deadline_ns - now_ns) * 1e-9))
+            continue
+        worst = max(worst, now_ns - deadline_ns)
+        bench.send_due(buses, min(round((now_ns - begin_ns) * speed), bench.end_ns), sent)
     return worst
 
 
@@ -192,7 +193,3 @@ def _write_files(bench: Bench, folder: Path, interface: str, channel: str) -> No
             (folder / name).write_text(text, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"--config-out {folder}: cannot be written: {error.strerror}") from error
-
-
-def _terminate(_number: int, _frame: object) -> NoReturn:
-    raise KeyboardInterrupt

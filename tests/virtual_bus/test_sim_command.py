@@ -133,7 +133,7 @@ def test_sim_stops_cleanly_when_told_to():
         process.send_signal(number)
         out, err = process.communicate(timeout=30)
         assert (process.returncode, err) == (0, "")
-        assert "stopped: " in out
+        assert f"stopped by {number.name}: " in out
 
 
 def test_sim_says_what_is_wrong(tmp_path):
