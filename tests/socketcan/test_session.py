@@ -1,5 +1,7 @@
 """The bench and the bridge as two processes on a real bus: aligned, navigating, and not one frame lost.
 
+In the end an operator on the bus begins alignments, picks other ones and gives them up.
+
 The bus is judged from outside: by candump's log, decoded with cantools, and by the simulator's own count.
 Nothing here is measured by the clock on the wall, because the machine may have other things to do: frames
 that come late are recorded, answered and navigated with all the same.
@@ -22,6 +24,7 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
+from bridge.commands import METHODS, CommandCode, Reason, Result
 from bridge.config import Config
 from bridge.engine import Engine
 from bridge.frame import BRIDGE, Event
@@ -115,6 +118,33 @@ def replayed(session: Path) -> tuple[Report, list[tuple[int, bytes]]]:
     return replay(capture, engine, watch), sent
 
 
+def from_bridge(name: str) -> bool:
+    """Whether the bridge sends such frames."""
+    return name.startswith("SOL_") or name == "COMMAND_ACK"
+
+
+def test_alignments_are_commanded_on_the_bus(bus: Frames) -> None:
+    """Each command is answered, and what is told of an alignment from then on is of the one asked for."""
+    answers = of(bus, "COMMAND_ACK")
+    assert [(ack["CODE"], ack["RESULT"], ack["REASON"]) for _, ack in answers] == [
+        (CommandCode.START_ALIGNMENT, Result.ACCEPTED, Reason.NONE),
+        (CommandCode.START_ALIGNMENT, Result.ACCEPTED, Reason.NONE),
+        (CommandCode.START_ALIGNMENT, Result.DENIED, Reason.NO_HEADING),
+        (CommandCode.RESTART, Result.ACCEPTED, Reason.NONE),
+        (CommandCode.STOP, Result.ACCEPTED, Reason.NONE),
+    ]
+    begun, another, refused, anew, given_up = (time for time, _ in answers)
+    spans = ((begun, another), (another, refused), (refused, anew), (anew, given_up), (given_up, math.inf))
+    methods = [
+        {signals["METHOD"] for time, signals in of(bus, "SOL_ALIGN") if a < time < b} for a, b in spans
+    ]
+    gnss, odometer = {METHODS["gnss"]}, {METHODS["odometer"]}
+    assert methods[:2] == [gnss, odometer]
+    assert methods[2] <= odometer  # a restart may follow at once
+    assert methods[3:] == [gnss, set()]
+    assert Mode(of(bus, "SOL_TIME")[-1][1]["MODE"]) is Mode.STANDBY
+
+
 def of(bus: Frames, name: str) -> list[tuple[float, dict[str, Any]]]:
     return [(time, signals) for time, found, signals in bus if found == name]
 
@@ -123,8 +153,8 @@ def test_no_frame_is_lost(session: Path, bus: Frames) -> None:
     sent = sent_by_bench(session)
     # the default load in Hz: IMU 200 in three frames, its status 10, odometer 50, barometer 25, GNSS 5 in six
     assert sent > 0.99 * SECONDS * (3 * 200 + 50 + 25 + 6 * 5 + 10)
-    logged = Counter(name for _, name, _ in bus if not name.startswith("SOL_"))
-    assert sum(logged.values()) == sent
+    logged = Counter(name for _, name, _ in bus if not from_bridge(name))
+    assert sum(logged.values()) == sent + logged["COMMAND"]
     capture = Capture(session / "run.mcap")
     recorded: Counter[str] = Counter()
     events: Counter[int] = Counter()
@@ -157,35 +187,35 @@ def test_it_aligns_and_navigates(bus: Frames) -> None:
     began, signals = next(item for item in driven if Mode(item[1]["MODE"]) is Mode.NAVIGATE)
     # by the satellites' time; it is ready before the vehicle moves, and not long before
     assert REST_S - 10.0 < (signals["TIME"] - first_us) * 1e-6 < REST_S
-    after = Counter(Mode(signals["MODE"]) for time, signals in driven if time > began)
+    commanded = of(bus, "COMMAND")[0][0]
+    assert commanded > SECONDS - 1.0
+    after = Counter(Mode(signals["MODE"]) for time, signals in driven if began < time < commanded)
     assert set(after) <= {Mode.NAVIGATE, Mode.CATCH_UP}
     assert after[Mode.NAVIGATE] > 0.9 * sum(after.values())
-    # when the bench has ended there is no solution any more: the last whole epoch
-    end, _ = of(bus, "SOL_LAT")[-1]
-    *_, flags = (SolutionFlag(each["FLAGS"]) for time, each in of(bus, "SOL_HEADING") if time < end)
+    *_, flags = (SolutionFlag(each["FLAGS"]) for time, each in of(bus, "SOL_HEADING") if time < commanded)
     wanted = SolutionFlag.POSITION | SolutionFlag.VELOCITY | SolutionFlag.LEVEL | SolutionFlag.HEADING
     assert wanted & flags == wanted
 
 
 def test_the_solution_keeps_its_rate(session: Path, bus: Frames) -> None:
     """One in every 20 ms in which there was an inertial sample, by the bridge's own clock."""
-    began = next(time for time, _ in of(bus, "SOL_LAT"))
-    rest = sum(time < began for time, _ in of(bus, "IMU_TIME"))
+    solutions = [time for time, _ in of(bus, "SOL_LAT")]
+    rest, end = (sum(time < at for time, _ in of(bus, "IMU_TIME")) for at in (solutions[0], solutions[-1]))
     samples = [
         frame.rx_ns
         for frame in Capture(session / "run.mcap").frames()
         if frame.source != BRIDGE and NAMES[frame.key] == "IMU_TIME"
     ]
-    slots = {rx_ns // 20_000_000 for rx_ns in samples[rest:]}
+    slots = {rx_ns // 20_000_000 for rx_ns in samples[rest:end]}
     # a solution comes with every second sample, so that a slot with one alone may have none
-    assert 0.9 * len(slots) < len(of(bus, "SOL_LAT")) <= len(slots) + 1
+    assert 0.9 * len(slots) < len(solutions) <= len(slots) + 1
 
 
 def test_the_bus_carries_what_the_capture_leads_to(
     session: Path, replayed: tuple[Report, list[tuple[int, bytes]]]
 ) -> None:
     """Every frame of the solution, and no other, bit for bit."""
-    sent = [(key, data) for _, key, data in read_log(session / "bus.log") if NAMES[key].startswith("SOL_")]
+    sent = [(key, data) for _, key, data in read_log(session / "bus.log") if from_bridge(NAMES[key])]
     assert sent == replayed[1]
     assert len(sent) > 12 * 10 * (SECONDS - REST_S)
 
