@@ -156,17 +156,16 @@ def noise_of(grade: Grade) -> Noise:
     )
 
 
-def counted(
-    table: Turntable, grade: Grade, seed: int, axes: Vector | None = None
-) -> tuple[Stream, ImuErrors, Vector]:
-    """What a unit of a grade counts on the table, the unit, and the table's errors (4,) as in the model.
+def counted(table: Turntable, grade: Grade, geometry: str, seed: int) -> tuple[Stream, ImuErrors, Vector]:
+    """What a unit counts on the table, the unit, and the table's errors (4,) as the model has them.
 
-    The random streams are those of a bench with the same seed.
+    Units of different grades and geometries share no random numbers, so that each is evidence of its own.
     """
-    delta, gravity = table.drawn(generator(seed, "vehicle/mounting"))
-    trajectory = table.trajectory(table.seconds(), generator(seed, "vehicle/mounting"))
-    unit = draw_imu(grade, generator(seed, "imu/unit"), axes)
-    imu = Imu(trajectory, grade, unit, generator(seed, "imu"), Faults([]))
+    of = f"{grade.name}/{geometry}"
+    delta, gravity = table.drawn(generator(seed, f"{of}/table"))
+    trajectory = table.trajectory(table.seconds(), generator(seed, f"{of}/table"))
+    unit = draw_imu(grade, generator(seed, f"{of}/unit"), GEOMETRIES[geometry])
+    imu = Imu(trajectory, grade, unit, generator(seed, f"{of}/imu"), Faults([]))
     rate = round(table.imu.rate_hz)
     count = int(table.seconds() * rate)
     t_ns = np.rint(np.arange(count + 1) * (1e9 / rate)).astype(np.int64)
@@ -201,9 +200,8 @@ def truth(model: Model, unit: ImuErrors) -> Vector:
 
 def _one(plan: Plan, site: Site | None, grade: str, geometry: str, seed: int) -> Round:
     table = scenario_of(plan, site, grade, RATE_HZ)
-    axes = GEOMETRIES[geometry]
-    nominal, noise = nominal_of(GRADES[grade], axes), noise_of(GRADES[grade])
-    stream, unit, wrong = counted(table, GRADES[grade], seed, axes)
+    nominal, noise = nominal_of(GRADES[grade], GEOMETRIES[geometry]), noise_of(GRADES[grade])
+    stream, unit, wrong = counted(table, GRADES[grade], geometry, seed)
     intervals = segment([stream], plan.steps, nominal, [1.0])
     model = model_of(plan, plan.at(site)[1], nominal)
     found = fit(model, intervals, noise)

@@ -8,6 +8,7 @@ scale_plus * plus - scale_minus * minus, whatever the samples were.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -70,7 +71,7 @@ def place_at(lat: float, height: float, gravity: float | None, sigmas: tuple[flo
 
     ``sigmas`` are those of tilt and north (rad) and of gravity (m/s^2).
     """
-    g = normal_gravity(np.sin(lat), height) if gravity is None else gravity
+    g = float(normal_gravity(math.sin(lat), height)) if gravity is None else gravity
     return Place(lat, g, sigmas[0], sigmas[1], sigmas[2] / g)
 
 

@@ -53,6 +53,12 @@ FIGURES: Final[dict[str, Figure]] = {
         "24 h of pure inertial navigation across pole, date line and equator, under four azimuth laws",
         "truth in closed form",
     ),
+    "redundant": Figure(
+        "bridge.studies.figures.redundant",
+        "asymmetry of accelerometers on skewed axes: conventional, iterative and joint calibration",
+        "Luo Rui et al. 2023",
+        100,
+    ),
     "schuler": Figure(
         "bridge.studies.figures.schuler",
         "errors at rest over a day: closed forms, matrix exponential and the kernel",
