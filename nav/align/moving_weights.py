@@ -323,7 +323,7 @@ class Weights:
             off = math.degrees(self.rate[1]) * 3600.0
             felt = (
                 f"Earth's rate about north is felt {off:+.3f} deg/h off what it is at this latitude: "
-                "latitude or calibration are wrong"
+                "latitude, a gyro or calibration is wrong"
             )
         if self.reason is None:
             return felt

@@ -13,7 +13,7 @@ import numpy as np
 from nav.earth import normal_gravity, radii
 from nav.types import Vector
 
-ROLL: Final = 0.003  # m per root of a metre, of the way that wheels count
+ROLL: Final = 0.0035  # m per root of a metre, of the way that wheels count
 SLIP_S: Final = 1.0  # seconds that a slip stays
 SIDEWAYS: Final = 0.5  # per m/s^2: of suspension and tyres, in units of the slip
 CRAB: Final = 0.25  # per m/s, likewise: camber, side wind, steering
