@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from bridge.calibration import read_calibration
 from bridge.config import Config, packaged_configs
 
 
@@ -31,6 +32,7 @@ def run(args: argparse.Namespace) -> int:
     # the engine brings compiled kernels with it, which --help need not wait for
     from bridge.assemble import make_sinks, make_sources
     from bridge.clock import HostClock, WallClock
+    from bridge.drivers.imu_can import ImuCanOptions
     from bridge.engine import Engine
     from bridge.navigators import provided
 
@@ -47,9 +49,21 @@ def run(args: argparse.Namespace) -> int:
         print(f"  source {name}: {source.type}")
     for name, device in config.devices.items():
         print(f"  device {name}: {device.driver} on {device.source}")
+        if isinstance(device, ImuCanOptions):
+            print(f"    {_calibration(config.files[device.calibration], device.calibration)}")
     for name, navigator in config.navigators.items():
         kinds = ", ".join(sorted(provided(name, config)))
         print(f"  navigator {name}: {kinds}; {navigator.alignment} alignment")
     for name, sink in config.sinks.items():
         print(f"  sink {name}: {sink.type} of {sink.navigator} on {sink.source}")
     return 0
+
+
+def _calibration(data: bytes, name: str) -> str:
+    """What a calibration file says of itself, in a line."""
+    file = read_calibration(data, name)
+    unit = "any unit" if file.serial is None else f"serial number {file.serial}"
+    made = file.certificate
+    if made is None:
+        return f"{name}: for {unit}, no certificate"
+    return f"{name}: for {unit}, {made.date[:10]} at {made.temperature_deg_c:.1f} degC, {made.plan}"

@@ -14,6 +14,8 @@ from nav.types import Vector
 
 _LARGE: Final = 17.0
 """Of the F ratio: chance gives this once in a million tries with 3 and 30 degrees of freedom."""
+_ALIKE: Final = 9.0
+"""Explanations whose squares differ by less than this, in units of what is left, cannot be told apart."""
 _ARCSEC: Final = np.pi / 648000.0
 
 
@@ -42,8 +44,10 @@ def moved(fit: Fit, intervals: Sequence[Interval], noise: Noise) -> str | None:
     Q = np.linalg.qr(design / np.linalg.norm(design, axis=0))[0]
     r = np.concatenate([*left, held @ fit.theta])
 
-    def ratio(inside: Vector) -> tuple[float, Vector]:
-        """F ratio and the angles (3,) where the table differs in the intervals (k,) ``inside``."""
+    total = float(r @ r)
+
+    def gained(inside: Vector) -> tuple[float, Vector]:
+        """What angles of the table in the intervals (k,) ``inside`` take off the squares; and they, (3,)."""
         parts = [
             solve_triangular(root, slope * inside[owner][:, None], lower=True)
             for root, slope, owner in zip(roots, slopes, owners, strict=True)
@@ -52,27 +56,25 @@ def moved(fit: Fit, intervals: Sequence[Interval], noise: Noise) -> str | None:
         A = A - Q @ (Q.T @ A)
         # what cannot be told from the other unknowns takes nothing away
         angle = -np.linalg.lstsq(A, r, rcond=1e-6)[0]
-        gain = float(r @ r - (r + A @ angle) @ (r + A @ angle))
-        rest = max(float(r @ r) - gain, 1e-12) / max(fit.freedom - 3, 1)
-        return gain / 3.0 / rest, angle
+        return total - float((r + A @ angle) @ (r + A @ angle)), angle
 
-    best, text = _LARGE, None
+    found = []
+    order = np.arange(len(intervals))
     for k, interval in enumerate(intervals):
-        alone = np.zeros(len(intervals))
-        alone[k] = 1.0
-        onward = np.zeros(len(intervals))
-        onward[k:] = 1.0
-        for inside, where in (
-            (onward, f"the table was moved before {interval.name}"),
-            (alone, f"the table does not stand in {interval.name} where the plan has it"),
-        ):
-            if inside.all():
-                continue
-            F, angle = ratio(inside)
-            if best < F:
-                best = F
-                text = f"{where}: by {_angles(angle)} arcsec about east, north, up"
-    return text
+        if k:
+            found.append(
+                (*gained((order >= k).astype(np.float64)), f"the table was moved before {interval.name}")
+            )
+        text = f"the table does not stand in {interval.name} where the plan has it"
+        found.append((*gained((order == k).astype(np.float64)), text))
+    found.sort(key=lambda one: -one[0])
+    gain, angle, text = found[0]
+    rest = max(total - gain, 1e-12) / max(fit.freedom - 3, 1)
+    if gain / 3.0 < _LARGE * rest:
+        return None
+    said = f"{text}: by {_angles(angle)} arcsec about east, north, up"
+    others = [text for less, _, text in found[1:] if gain - less < _ALIKE * rest]
+    return "; or as likely, ".join([said, *others])
 
 
 def _angles(angle: Vector) -> str:
