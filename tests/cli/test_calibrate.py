@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import threading
 import time
@@ -12,7 +13,7 @@ import can
 import numpy as np
 import pytest
 
-from bridge import calibrating
+from bridge import arguments, calibrating
 from bridge.calibration import read_calibration
 from bridge.calibration_capture import record, same_unit
 from bridge.calibration_plan import Site, as_toml, load, packaged, read
@@ -303,6 +304,49 @@ def test_a_wrong_plan_says_what_is_wrong(old, new, said):
 def test_a_plan_that_is_not_there(capsys):
     assert main(["calibrate", "positions_23", "x.mcap"]) == 2
     assert 'did you mean "positions_24"?' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["drive", "positions_8"], "PLAN: found one, but only the scenario turntable has it"),
+        (["drive", "--grade", "rlg"], "--grade: found one, but only the scenario turntable has it"),
+        (["turntable"], "PLAN: found nothing, expected a file or, packaged, one of positions_12"),
+        (["turntable", "positions_8"], "positions_8.toml: site: found nothing, expected [site]"),
+    ],
+)
+def test_what_the_simulated_table_is_not_told(words, said, capsys):
+    assert main(["sim", *words, "--interface", "virtual", "--channel", "nobody"]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["45", "91,0", "45,20000", "45,0,9.6", "45,0,9.8,1", "north"])
+def test_a_site_is_latitude_height_and_gravity(text):
+    assert arguments.site("45,100,9.806") == (45.0, 100.0, 9.806)
+    with pytest.raises(argparse.ArgumentTypeError, match="expected latitude in deg,height in m"):
+        arguments.site(text)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("freedom = ", 'freedom = "many"  # ', "certificate.freedom: found"),
+        ("[certificate]", "[certificate]\nowner = 1", "certificate.owner: found an unknown key"),
+        ("[sigma.gyro]", "[sigma.gyros]", "sigma.gyros: found gyros, expected tables of gyro, accel"),
+        (
+            "[sigma.gyro]",
+            "[sigma.gyro]\nbias_deg_per_s = [0, 0, 0]",
+            "sigma.gyro.bias_deg_per_s: found an unknown",
+        ),
+        ("[sigma.gyro]", "[sigma.gyro]\nscale = 3\n[x]", "x: found an unknown table"),
+    ],
+)
+def test_a_spoilt_certificate_says_what_is_wrong(result, old, new, said):
+    text = calibrating.file_of(result)
+    assert old in text
+    with pytest.raises(ConfigError) as error:
+        read_calibration(text.replace(old, new, 1).encode(), "imu.toml")
+    assert said in str(error.value)
 
 
 def test_a_few_rounds_of_the_campaign():
