@@ -229,6 +229,7 @@ def _align(
         odometer_lever_arm=np.array(options.odometer_lever_arm_m),
         odometer_quantum=quantum,
         odometer_scale=options.odometer_scale_ppm * 1e-6,
+        odometer_walk=options.odometer_walk_m_per_sqrt_m,
         sigma_mounting=options.mounting_sigma_deg * _DEG,
         slip=table.slip_m_s,
     )

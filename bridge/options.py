@@ -199,7 +199,7 @@ class NavigatorOptions(Table):
     odometer_timeout_s: NotNegative = 5.0
     barometer_timeout_s: NotNegative = 10.0
     odometer_sigma_m_s: Positive = 0.03
-    odometer_walk_m_per_sqrt_m: NotNegative = 0.0
+    odometer_walk_m_per_sqrt_m: NotNegative = 0.003
     odometer_scale_ppm: Positive = 10_000.0
     barometer_bias_m: Positive = 30.0
     barometer_wander_m_per_sqrt_s: NotNegative = 0.05

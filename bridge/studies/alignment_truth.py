@@ -28,7 +28,7 @@ Times = NDArray[np.int64]
 G: Final = G0
 LAT, LON, HEIGHT = math.radians(34.18), math.radians(108.9), 400.0
 TICK: Final = 0.08194  # m
-ROLL: Final = 0.003  # m per root of a metre that wheels roll
+WALK: Final = 0.003  # m per root of a metre that wheels roll
 ONSET_S: Final = 2.0  # in which a sway that begins comes to its full strength
 DELAY_NS: Final = 60_000_000  # of a fix
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -306,11 +306,11 @@ def ticks(
 ) -> list[OdoSample]:
     """Odometer samples between the times, in whole ticks.
 
-    With an ``rng`` the wheels begin anywhere between two, and count `ROLL` too much or too little on the way.
+    With an ``rng`` the wheels begin anywhere between two, and count `WALK` too much or too little on the way.
     """
     rolled = trajectory.profile.distance(t_ns) * scale
     if rng is not None:
-        error = ROLL * np.sqrt(np.diff(rolled)) * rng.standard_normal(len(rolled) - 1)
+        error = WALK * np.sqrt(np.diff(rolled)) * rng.standard_normal(len(rolled) - 1)
         rolled[1:] += np.cumsum(error)
         rolled = np.maximum.accumulate(rolled + rng.uniform(0.0, tick))
     whole = np.floor(rolled / tick)

@@ -228,7 +228,7 @@ class Weights:
         q = np.zeros(SIZE)
         q[VEL], q[TILT] = config.velocity_random_walk**2, config.angle_random_walk**2
         level = math.hypot(sums[_S_F], sums[_S_F + 1]) / tau
-        across, along = road(config.slip, float(sums[_S_WAY + 1]) / tau, level)
+        across, along = road(config.slip, config.odometer_walk, float(sums[_S_WAY + 1]) / tau, level)
         q[WAY] = along**2
         Q = np.diag(q * (0.5 * tau))
         self.P = transition @ (self.P + Q) @ transition.T + Q

@@ -248,13 +248,13 @@ def _marks(state: Ride) -> tuple[float, ...]:
 def _slip(state: Ride, row: Vector) -> Vector:
     """By how much the road takes wheels off their way up to the epoch at ``row``: (3, 3) m^2/s, a walk."""
     assert state.book is not None
-    before = state.book.row
+    config, before = state.config, state.book.row
     seconds = float(row[A_T] - before[A_T])
     marks = _marks(state)
     up = _frame(state, row)[1][:, 2]
     push = row[A_V : A_V + 3] - before[A_V : A_V + 3]
     level = float(np.linalg.norm(push - up * (up @ push))) / seconds
-    across, along = road(state.config.slip, (marks[2] - marks[1]) / seconds, level)
+    across, along = road(config.slip, config.odometer_walk, (marks[2] - marks[1]) / seconds, level)
     axes = attitude(row) @ state.axes
     return np.asarray(axes * [across**2, along**2, across**2] @ axes.T)
 

@@ -13,7 +13,6 @@ import numpy as np
 from nav.earth import normal_gravity, radii
 from nav.types import Vector
 
-ROLL: Final = 0.0035  # m per root of a metre, of the way that wheels count
 SLIP_S: Final = 1.0  # seconds that a slip stays
 SIDEWAYS: Final = 0.5  # per m/s^2: of suspension and tyres, in units of the slip
 CRAB: Final = 0.25  # per m/s, likewise: camber, side wind, steering
@@ -56,13 +55,13 @@ def gravity_change(lat: float, height: float) -> Vector:
     return out
 
 
-def road(slip: float, speed: float, level: float) -> tuple[float, float]:
+def road(slip: float, walk: float, speed: float, level: float) -> tuple[float, float]:
     """How far a road takes wheels off their way, across and along: random walks, m per root of a second.
 
     Across, that is to the right and upwards each, they move at ``slip`` m/s on a straight road, by the
     ``level`` acceleration (m/s^2) more, for about a second; and at a part of the ``speed`` (m/s) for some
-    metres of way. Along it they count too much or too little.
+    metres of way. Along it they count too much or too little, ``walk`` m per root of a metre.
     """
     crab = CRAB * math.sqrt(abs(speed) * max(abs(speed) * SLIP_S, CRAB_WAY))
     across = slip * math.sqrt(SLIP_S * (1.0 + (SIDEWAYS * level) ** 2) + crab**2)
-    return across, ROLL * math.sqrt(abs(speed))
+    return across, walk * math.sqrt(abs(speed))

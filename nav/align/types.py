@@ -94,9 +94,10 @@ class AlignConfig:
     stored heading, another system's attitude.
 
     ``odometer_lever_arm`` (3,) m from IMU to the odometer's point in b; ``odometer_quantum`` m of a tick;
-    ``odometer_scale`` (1) standard deviation of its scale factor; ``sigma_mounting`` rad: how far ``C_vb`` is
-    to be trusted; ``slip`` m/s: standard deviation of the velocity across the vehicle on a straight road,
-    to which `nav.align.rolled.road` adds what speed and level acceleration do.
+    ``odometer_scale`` (1) standard deviation of its scale factor, ``odometer_walk`` m per root of a metre: by
+    how much it counts too much or too little; ``sigma_mounting`` rad: how far ``C_vb`` is to be trusted;
+    ``slip`` m/s: standard deviation of the velocity across the vehicle on a straight road, to which
+    `nav.align.rolled.road` adds what speed and level acceleration do.
     """
 
     gyro_bias: float
@@ -123,6 +124,7 @@ class AlignConfig:
     odometer_quantum: float = 0.0
     odometer_scale: float = 0.01
     sigma_mounting: float = math.radians(0.1)
+    odometer_walk: float = 0.003
     slip: float = 0.02
     gyro_scale: float = 0.0
     gyro_axes: float = 0.0

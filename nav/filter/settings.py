@@ -199,6 +199,7 @@ def align_config(config: NavigatorConfig) -> AlignConfig:
         odometer_lever_arm=config.odometer_lever_arm,
         odometer_quantum=config.odometer_quantum,
         odometer_scale=config.odometer_scale,
+        odometer_walk=config.odometer_walk,
         sigma_mounting=config.sigma_mounting,
     )
 
