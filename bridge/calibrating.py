@@ -155,7 +155,10 @@ def certificate_of(result: Calibrated) -> Certificate:
         height_m=result.site.height_m,
         gravity_m_s2=model.place.gravity,
         temperature_deg_c=round(float(temperatures.mean()), 3),
-        temperature_range_deg_c=(float(temperatures.min()), float(temperatures.max())),
+        temperature_range_deg_c=(
+            round(float(temperatures.min()), 3),
+            round(float(temperatures.max()), 3),
+        ),
         residual_gyro_arcsec=_significant(_rms(left[True]) / _ARCSEC, 4),
         residual_accel_mm_s=_significant(_rms(left[False]) * 1e3, 4),
         chi2=_significant(result.fit.chi2, 4),
@@ -175,17 +178,19 @@ def document_of(result: Calibrated) -> dict[str, Any]:
     device: dict[str, Any] = {"model": "calibrated on a turntable"}
     if result.serial is not None:
         device["serial"] = result.serial
-    document: dict[str, Any] = {"device": device, "certificate": plain(certificate_of(result)), "sigma": {}}
+    document: dict[str, Any] = {"device": device, "certificate": plain(certificate_of(result))}
+    sigmas: dict[str, Any] = {}
     for kind in UNITS:
         found = result.of(kind)
-        document[kind], document["sigma"][kind] = {}, {}
+        document[kind], sigmas[kind] = {}, {}
         for name, value, sigma, unit, factor in written(kind, found):
             key = f"{name}_{unit}" if unit else name
             document[kind][key] = _plain(value / factor, _DIGITS)
-            document["sigma"][kind][key] = _plain(sigma / factor, 3)
+            sigmas[kind][key] = _plain(sigma / factor, 3)
     arms = result.recorded[0].nominal.accel_arms
     if np.any(arms):  # not measured here, but known
         document["accel"]["lever_arm_m"] = arms.tolist()
+    document["sigma"] = sigmas
     return document
 
 
