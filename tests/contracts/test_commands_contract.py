@@ -14,7 +14,7 @@ from mcap.writer import Writer
 from bridge.cli import COMMANDS, main
 from bridge.importers import IMPORTERS
 
-CAPTURES = ("replay", "inspect", "align", "plot", "decode")
+CAPTURES = ("replay", "inspect", "align", "arms", "plot", "decode")
 """Commands that read a capture."""
 CONFIGS = ("run", "check")
 """Commands that read a configuration."""
@@ -25,6 +25,7 @@ OTHERS = {
     "import": ["candump", "nothing.log", "--config", "bench", "--out", "out.mcap"],
     "campaign": ["static", "--scenario", "nowhere", "--runs", "2", "--jobs", "1"],
     "figures": ["nowhere"],
+    "calibrate": ["nowhere", "nothing.mcap", "--out", "imu.toml"],
     "busload": ["--bitrate", "1", "--json"],
 }
 """A command line of each other command that cannot be done."""
