@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from bridge.studies.workers import Progress
 
 _RUNS: Final = 100
+_UNITS: Final = 20
 _SITE: Final = (34.25, 400.0)
 
 
@@ -98,11 +99,19 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         default=_SITE,
         help=f"where the table is: deg, m, m/s^2 (default: {_SITE[0]:g},{_SITE[1]:g})",
     )
+    failing = kinds.add_parser(
+        "faults",
+        help="sensors of redundant units that fail: missed, wrongly excluded, delays, false alarms",
+        description="Let every sensor of units of 12 sensors on cones and of 10 on orthogonal and skew axes "
+        "fail in five ways and four sizes, in N units each; count false alarms of healthy units, and let any "
+        "two sensors of the cone die.",
+    )
+    _common(failing, _UNITS)
     return parser
 
 
-def _common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--runs", metavar="N", type=arguments.whole(1), default=_RUNS, help="default: 100")
+def _common(parser: argparse.ArgumentParser, runs: int = _RUNS) -> None:
+    parser.add_argument("--runs", metavar="N", type=arguments.whole(1), default=runs, help=f"default: {runs}")
     parser.add_argument(
         "--seed-base", metavar="N", type=arguments.whole(0), default=0, help="first seed (default: 0)"
     )
@@ -134,6 +143,14 @@ def run(args: argparse.Namespace) -> int:
         return 0 if all(one.passed for one in every) else 1
     if args.campaign == "calibration":
         return _calibration(args, progress)
+    if args.campaign == "faults":
+        from bridge.studies import fault_campaign
+
+        faults = fault_campaign.run_faults(
+            args.runs, seed_base=args.seed_base, jobs=args.jobs, progress=progress
+        )
+        _print(args, fault_campaign.lines(faults), fault_campaign.document(faults))
+        return 1 if faults.complaints() else 0
     if args.campaign == "static":
         still = run_static(
             args.scenario, args.runs, seed_base=args.seed_base, jobs=args.jobs, progress=progress

@@ -65,7 +65,11 @@ def quick(hot: Vector, counts: Vector, first: int, tau: float, dv: Vector, x: Ve
 
     ``counts`` pulses over ``tau`` s, from place ``first`` on `MOST` of them, zero beyond the last sensor;
     ``dv`` (3,) m/s in b for what gyros feel of it; ``x`` (3,) as of `fuse`.
+
+    Raises ValueError where ``counts`` is shorter.
     """
+    if first < 0 or len(counts) < first + MOST:
+        raise ValueError("counts: expected lanes for the most sensors that there may be")
     lanes = int(hot[LANES])  # not a constant: loops shall become vectors, not be unrolled
     g0, g1, g2 = dv[0], dv[1], dv[2]
     for k in range(lanes):

@@ -310,5 +310,7 @@ def test_what_cannot_be_is_refused():
         Redundant(ideal(cone()), Noise(WALK), RATE_HZ, Monitor(windows=(1.0, 1.5)))
     with pytest.raises(ValueError, match="false_alarms"):
         Redundant(ideal(cone()), Noise(WALK), RATE_HZ, Monitor(false_alarms=1e4))
+    with pytest.raises(ValueError, match="lanes"):
+        Feed(cone()).fusion.sample(np.zeros(6), TAU, np.zeros(3), np.zeros(3), np.zeros(3))
     with pytest.raises(ValueError, match="scale"):
         Sensors(cone(), np.zeros(6), np.ones(6), np.zeros(6), np.zeros((6, 3)))

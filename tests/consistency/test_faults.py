@@ -1,0 +1,77 @@
+"""Sensors that fail, a few runs of each sort; the whole campaign is ``navbridge campaign faults``."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+
+from bridge.cli import main
+from bridge.studies import fault_campaign as study
+from bridge.studies.fault_runs import FAULTS, KINDS, Case
+from nav.imu.geometry import GEOMETRIES
+
+
+def outcomes(geometry: str, multiple: float) -> list[study.Outcome]:
+    return [
+        study.look(0, Case(geometry, kind, fault, k, multiple))
+        for kind in KINDS
+        for fault in FAULTS
+        for k in range(len(GEOMETRIES[geometry]))
+    ]
+
+
+def test_a_fault_of_any_sort_and_axis_of_the_cone_is_found_and_its_sensor_alone_excluded() -> None:
+    rows = study.pooled(outcomes("cone", 3.0))
+    assert len(rows) == len(KINDS) * len(FAULTS)
+    for row in rows:
+        assert (row.axes, row.missed, row.wrong, row.open) == ("told apart", 0, 0, 0), row
+        # that much of a sample, two windows at most, or for a ramp the time to its size
+        assert row.late < 25.0, row
+        assert row.last < study.TWICE, row
+
+
+def test_of_two_askew_y_and_z_are_found_but_not_told_apart() -> None:
+    assert study.twins(GEOMETRIES["skew"]) == {1, 2}
+    assert study.twins(GEOMETRIES["cone"]) == set()
+    for row in study.pooled(outcomes("skew", 3.0)):
+        alike = row.axes == "alike"
+        assert (row.runs, row.missed, row.wrong) == (2 if alike else 3, 0, 0), row
+        assert row.open == (row.runs if alike else 0), row
+        assert alike or row.last < study.TWICE, row
+
+
+def test_any_two_sensors_of_the_cone_may_fail() -> None:
+    for one in study.dead(1):
+        assert one.done == one.pairs
+        # chi-square of three degrees: beyond 5 sigmas in 1 of 60 000
+        assert one.sigmas < 5.0
+
+
+def test_the_command_tells_what_it_counted(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in (("MULTIPLES", (3.0,)), ("FAULTS", ("step",)), ("KINDS", ("gyro",))):
+        monkeypatch.setattr(study, name, value)
+    monkeypatch.setattr(study, "ALARMS", 3)
+    assert main(["campaign", "faults", "--runs", "1", "--jobs", "1"]) == 0
+    text = capsys.readouterr().out
+    assert text.endswith("passed\n")
+    assert main(["campaign", "faults", "--runs", "1", "--jobs", "1", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [row["axes"] for row in document["rows"]] == ["told apart", "told apart", "alike"]
+    assert [one["expected"] for one in document["false_alarms"]] == [3.0, 3.0]
+
+
+def test_what_theory_does_not_allow_is_complained_of() -> None:
+    row = study.Row("cone", "gyro", "told apart", "step", 2.0, 20, 0, 0, 0, 1.0, 2.0, 1.2, 1.1)
+    found = study.Faults((row,), (study.Quiet("cone", 1.0, 100.0, 100),), (), 0, 1.0)
+    assert found.complaints() == []
+    assert found.quiet[0].chance == pytest.approx(1.0, abs=0.05)
+    worse = replace(row, missed=5, wrong=5, last=3.0)
+    assert len(replace(found, rows=(worse,)).complaints()) == 3
+    # Poisson of 100: 150 is five sigmas off
+    assert replace(found, quiet=(study.Quiet("cone", 1.0, 100.0, 150),)).complaints()
+    assert replace(found, dead=(study.Dead("two", 15, 14, math.pi),)).complaints()
