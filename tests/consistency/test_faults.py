@@ -29,6 +29,7 @@ def test_a_fault_of_any_sort_and_axis_of_the_cone_is_found_and_its_sensor_alone_
     for row in rows:
         assert (row.axes, row.missed, row.wrong, row.open) == ("told apart", 0, 0, 0), row
         # that much of a sample, two windows at most, or for a ramp the time to its size
+        assert row.late is not None
         assert row.late < 25.0, row
         assert row.last < study.TWICE, row
 
@@ -61,6 +62,7 @@ def test_the_command_tells_what_it_counted(
     assert text.endswith("passed\n")
     assert main(["campaign", "faults", "--runs", "1", "--jobs", "1", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
+    assert document["rows"][2]["delay"] is None
     assert [row["axes"] for row in document["rows"]] == ["told apart", "told apart", "alike"]
     assert [one["expected"] for one in document["false_alarms"]] == [3.0, 3.0]
 
