@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nav.imu.pulses import coefficient
 from nav.types import Vector
 
 
@@ -34,13 +35,7 @@ class Sensors:
         n = len(self.axes)
         for name in self.__slots__:
             shape = (n, 3) if name in ("axes", "g_sensitivity") else (n,)
-            value = np.array(getattr(self, name), dtype=np.float64)
-            if value.shape != shape:
-                raise ValueError(f"{name}: expected shape {shape}, found {value.shape}")
-            if not np.all(np.isfinite(value)):
-                raise ValueError(f"{name}: a value is not finite")
-            if "scale" in name and np.any(value == 0.0):
-                raise ValueError(f"{name}: a scale of zero")
+            value = coefficient(name, getattr(self, name), shape)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
 

@@ -31,6 +31,21 @@ def _eye() -> Vector:
     return np.eye(3)
 
 
+def coefficient(name: str, given: object, shape: tuple[int, ...]) -> Vector:
+    """Error coefficients called ``name`` as an array of ``shape``.
+
+    Raises ValueError for another shape, a value that is not finite or a scale of zero.
+    """
+    value = np.array(given, dtype=np.float64)
+    if value.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, found {value.shape}")
+    if not np.all(np.isfinite(value)):
+        raise ValueError(f"{name}: a value is not finite")
+    if "scale" in name and np.any(value == 0.0):
+        raise ValueError(f"{name}: a scale of zero")
+    return value
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """Error coefficients of one IMU of three gyros and three accelerometers, SI units.
@@ -64,13 +79,7 @@ class Calibration:
             object.__setattr__(self, "accel_scale_minus", self.accel_scale_plus)
         for name in self.__slots__:
             shape = (3, 3) if name.endswith(("_g", "_axes", "_arms")) else (3,)
-            value = np.array(getattr(self, name), dtype=np.float64)
-            if value.shape != shape:
-                raise ValueError(f"{name}: expected shape {shape}, found {value.shape}")
-            if not np.all(np.isfinite(value)):
-                raise ValueError(f"{name}: a value is not finite")
-            if "scale" in name and np.any(value == 0.0):
-                raise ValueError(f"{name}: a scale of zero")
+            value = coefficient(name, getattr(self, name), shape)
             if name.endswith("axes"):
                 rows = value / np.maximum(np.linalg.norm(value, axis=1, keepdims=True), 1e-300)
                 if abs(np.linalg.det(rows)) < _SMALLEST_TRIPLE_PRODUCT:
