@@ -104,8 +104,8 @@ def compute(runs: int = 200, jobs: int = 1, progress: Progress | None = None, dt
         "0.007 deg/h (GNSS 0.005, rapid gyrocompass 0.01), 0.0005 deg/sqrt(h), 5e-5 g (GNSS 3e-5), 10 "
         "ug/sqrt(Hz), ticks of 0.08194 m, their scale wrong by 0.3 % and the mounting by 0.05 deg, fixes "
         "good to 2 m once a second and no velocities, latitude 34.18 deg, headings all round, of which "
-        "nothing is told: print begins its rapid gyrocompass 3 deg off. Roads take wheels aside at 2 mm/s and "
-        "0.5 mm/s for each m/s of speed, more in turns, and along by 3 mm per root of a metre.",
+        "nothing is told: print begins its rapid gyrocompass 3 deg off. Roads take wheels aside at 2 mm/s "
+        "and 0.5 mm/s for each m/s of speed, more in turns, and along by 3 mm per root of a metre.",
     ]
     for case in CASES:
         mine = [_of(outcomes[case.scene, seed], case) for seed in range(runs)]
