@@ -143,6 +143,7 @@ def test_the_contract_of_identifiers() -> None:
     c = contract()
     expected = {
         "IMU_GYRO": 0x100, "IMU_ACCEL": 0x101, "IMU_TIME": 0x102, "IMU_STATUS": 0x103, "IMU_LATCH": 0x104,
+        "IMU_GYRO_2": 0x105, "IMU_ACCEL_2": 0x106,
         "IMU_FD": 0x110,
         "ODO": 0x120, "SPEED": 0x121, "BARO": 0x122,
         "GNSS_TIME": 0x130, "GNSS_LAT": 0x131, "GNSS_LON": 0x132, "GNSS_HEIGHT": 0x133, "GNSS_VEL": 0x134,
@@ -150,7 +151,7 @@ def test_the_contract_of_identifiers() -> None:
         "SOL_TIME": 0x200, "SOL_LEVEL": 0x201, "SOL_HEADING": 0x202, "SOL_VEL_H": 0x203, "SOL_VEL_U": 0x204,
         "SOL_LAT": 0x205, "SOL_LON": 0x206, "SOL_HEIGHT": 0x207, "SOL_RATE": 0x208, "SOL_FORCE": 0x209,
         "SOL_SIGMA_ATT": 0x20A, "SOL_SIGMA_VEL": 0x20B, "SOL_REJECTS": 0x20C, "SOL_HEALTH": 0x20D,
-        "SOL_ALIGN": 0x20E,
+        "SOL_ALIGN": 0x20E, "SOL_IMU_HEALTH": 0x20F,
     }  # fmt: skip
     assert {name: codec.frame_id for name, codec in c.items()} == expected
     assert len(c) == len(expected)
