@@ -60,6 +60,27 @@ class AlignmentProgress:
 
 
 @dataclass(frozen=True, slots=True)
+class TransferProgress:
+    """What a transfer alignment knows at ``t_ns``, relative to its master; rad.
+
+    ``matching`` is the key of `nav.transfer.MATCHINGS`. ``sigma`` (3,) is that of phi about east, north, up;
+    ``mounting`` (3,), about right, forward, up of b, what the slave is turned beyond its configured C_ab, to
+    ``sigma_mounting`` (3,). ``observability``: of each estimated state, by name, what is left of its first
+    sigma (1: nothing was learnt of it). ``hint``: the manoeuvre that would show what is least known
+    against what is asked for, or nothing. ``quality``: 0 to 1, share of late messages that agreed.
+    """
+
+    t_ns: int
+    matching: str
+    sigma: tuple[float, float, float]
+    mounting: tuple[float, float, float]
+    sigma_mounting: tuple[float, float, float]
+    observability: tuple[tuple[str, float], ...]
+    hint: str
+    quality: float
+
+
+@dataclass(frozen=True, slots=True)
 class Notice:
     """Something an operator should read once."""
 
@@ -67,4 +88,4 @@ class Notice:
     text: str
 
 
-NavEvent = Solution | ModeChange | Innovation | Refusal | AlignmentProgress | Notice
+NavEvent = Solution | ModeChange | Innovation | Refusal | AlignmentProgress | TransferProgress | Notice

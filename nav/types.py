@@ -130,7 +130,33 @@ class GnssFix(NamedTuple):
     satellites: int | None = None
 
 
-Sample = ImuSample | OdoSample | SpeedSample | BaroSample | GnssFix
+class MasterState(NamedTuple):
+    """What a master navigator says of its own point, for a slave to be aligned from.
+
+    ``lat``, ``lon`` rad, ``height`` m above the ellipsoid, ``v_g`` (3,) m/s east, north, up. ``q_ga`` (4,)
+    takes the master's body axes a (right, forward, up) to east-north-up; None where it tells no attitude.
+    ``w_ia_a`` (3,) rad/s and ``f_a`` (3,) m/s^2 in a are None for a master on a platform, which has no rates
+    to tell. ``sigma_position`` (3,) m, ``sigma_velocity`` (3,) m/s and ``sigma_phi`` (3,) rad, east, north,
+    up, are what it holds of its own lasting errors; the noise of its messages is configured with who takes
+    them. ``valid``: the master itself says that it is to be used.
+    """
+
+    t_ns: int
+    lat: float
+    lon: float
+    height: float
+    v_g: Vector
+    q_ga: Vector | None
+    w_ia_a: Vector | None
+    f_a: Vector | None
+    sigma_position: Vector
+    sigma_velocity: Vector
+    sigma_phi: Vector | None
+    valid: bool
+    device: str
+
+
+Sample = ImuSample | OdoSample | SpeedSample | BaroSample | GnssFix | MasterState
 
 
 class S:

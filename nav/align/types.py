@@ -71,6 +71,45 @@ class NavInit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TransferConfig:
+    """What a slave must know of its master, to be aligned from it (`nav.transfer`); SI units, one sigma.
+
+    ``lever_arm`` (3,) m from the master's point to the slave's IMU in the master's body axes a, good to
+    ``sigma_lever_arm`` m an axis. ``C_ab`` (3, 3) takes the slave's b to a as built, good to
+    ``sigma_mounting`` (3,) rad about right, forward, up of b.
+
+    Noise of one message, independent of the next: ``sigma_velocity`` m/s, ``sigma_attitude`` rad,
+    ``sigma_position`` m, ``sigma_rate`` rad/s. ``latency`` s: sigma of the constant error of its dating;
+    ``latest_s``: a message that holds for a time longer ago is of no use.
+
+    ``flexure`` (3,) rad about the axes of b, with correlation times ``flexure_time`` (3,) s: second-order
+    Markov motion of the slave on its mounting, turning about the master's point. None: no states for it; what
+    there is of it belongs into the noise of the attitude.
+
+    ``duration`` s at least it takes, and ends when phi relative to the master is known to ``sigma`` (3,) rad
+    about east, north, up, if not at once; after ``patience`` s without that it refuses. ``lockout`` s of
+    messages refused or missing make it refuse, too.
+    """
+
+    lever_arm: Vector = field(default_factory=lambda: np.zeros(3))
+    sigma_lever_arm: float = 0.02
+    C_ab: Vector = field(default_factory=lambda: np.eye(3))
+    sigma_mounting: Vector = field(default_factory=lambda: np.full(3, math.radians(0.5)))
+    sigma_velocity: float = 0.02
+    sigma_attitude: float = 3e-4
+    sigma_position: float = 2.0
+    sigma_rate: float = 1e-3
+    latency: float = 0.005
+    latest_s: float = 0.5
+    flexure: Vector | None = None
+    flexure_time: Vector = field(default_factory=lambda: np.full(3, 0.5))
+    duration: float = 5.0
+    sigma: Vector = field(default_factory=lambda: np.full(3, 2e-3))
+    patience: float = 3600.0
+    lockout: float = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class AlignConfig:
     """What an alignment must know about sensors, place and time; SI units.
 
@@ -98,6 +137,8 @@ class AlignConfig:
     how much it counts too much or too little; ``sigma_mounting`` rad: how far ``C_vb`` is to be trusted;
     ``slip`` m/s: standard deviation of the velocity across the vehicle on a straight road, to which
     `nav.align.rolled.road` adds what speed and level acceleration do.
+
+    ``transfer``: of the master, where there is one; None: the defaults of `TransferConfig`.
     """
 
     gyro_bias: float
@@ -132,6 +173,7 @@ class AlignConfig:
     accel_axes: float = 0.0
     gyro_walk: float = 0.0
     accel_walk: float = 0.0
+    transfer: TransferConfig | None = None
 
 
 State = TypeVar("State")
@@ -156,8 +198,8 @@ class Stage(Generic[State]):
 class Alignment:
     """Stages in order, and what they cannot end without.
 
-    ``needs``: names of sample kinds ("gnss", "odometer", "speed", "baro"), and "heading" where the
-    configuration must give a heading or an attitude. A position, given or from GNSS, they all need.
+    ``needs``: names of sample kinds ("gnss", "odometer", "speed", "baro", "master"), and "heading" where the
+    configuration must give a heading or an attitude. They all need a position: given, of GNSS, of the master.
     """
 
     needs: frozenset[str]
@@ -186,7 +228,8 @@ def lack(alignment: Alignment, kinds: Collection[str], config: AlignConfig) -> s
                 return need
         elif need not in kinds:
             return need
-    return "" if config.position is not None or "gnss" in kinds else "position"
+    placed = config.position is not None or "gnss" in kinds or "master" in alignment.needs
+    return "" if placed else "position"
 
 
 def begin(alignment: Alignment, config: AlignConfig) -> Run:
