@@ -19,8 +19,9 @@ from virtual_bus.devices import Device
 from virtual_bus.dither import CYCLE, Dither
 from virtual_bus.faults import AnyFault, BusFrame, Faults, Flood
 from virtual_bus.grades import GRADES, PPM, draw_imu
-from virtual_bus.scenario import DeviceTable, Scenario
+from virtual_bus.scenario import Scenario
 from virtual_bus.sensors import Barometer, Gnss, GnssErrors, Imu, Odometer, SpeedLog, generator
+from virtual_bus.tables import DeviceTable
 from virtual_bus.truth import TruthState
 
 CALIBRATION = "imu_calibration.toml"

@@ -10,11 +10,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_bus.crab import CRAB_SHORTEST
 from virtual_bus.devices import FRAME_NS
 from virtual_bus.ellipsoid import G0
 from virtual_bus.grades import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, UG, Grade, ImuErrors
-from virtual_bus.scenario import DeviceTable, Scenario
-from virtual_bus.truth import CRAB_SHORTEST, mounting_matrix
+from virtual_bus.scenario import Scenario
+from virtual_bus.tables import DeviceTable
+from virtual_bus.truth import mounting_matrix
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from dbc.codec import contract
 from virtual_bus.faults import AliveCounter, BusFrame, Faults, Flood, Reset
 from virtual_bus.grades import PPM
-from virtual_bus.scenario import DeviceTable, GnssTable, ImuTable, OdometerTable, Start
 from virtual_bus.sensors import Barometer, Gnss, Imu, Odometer, SpeedLog
+from virtual_bus.tables import DeviceTable, GnssTable, ImuTable, OdometerTable, Start
 
 Times = NDArray[np.int64]
 

@@ -24,6 +24,8 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from virtual_bus import ellipsoid
+from virtual_bus.axes import attitude, cross, down, quaternion, up
+from virtual_bus.crab import Crab
 from virtual_bus.ellipsoid import G0, OMEGA
 from virtual_bus.manoeuvres import Profile
 from virtual_bus.sway import Sway
@@ -43,32 +45,6 @@ _FIT = np.linalg.inv(chebyshev.chebvander(_X, NODES - 1))
 _INTEGRAL = np.stack([chebyshev.chebint(_FIT[:, k], lbnd=-1) for k in range(NODES)], axis=1)
 _AT_NODES = chebyshev.chebvander(_X, NODES) @ _INTEGRAL
 _AT_END = np.ones(NODES + 1) @ _INTEGRAL
-
-
-CRAB_LINES: Final = 24
-CRAB_SHORTEST: Final = 25.0  # m of road: at 20 m/s well within what a piece's polynomial can follow
-
-
-class Crab:
-    """Angle between a vehicle's heading and its path, a smooth random function of the distance rolled.
-
-    Waves of equal strength spread evenly over all wave numbers up to that of `CRAB_SHORTEST`, so it is
-    white noise of ``sigma`` rad to whoever looks over longer distances. ``rng`` draws it.
-    """
-
-    def __init__(self, sigma: float, rng: np.random.Generator) -> None:
-        place = (np.arange(CRAB_LINES) + rng.random(CRAB_LINES)) / CRAB_LINES
-        self._number = 2.0 * math.pi / CRAB_SHORTEST * place  # rad/m
-        self._phase = 2.0 * math.pi * rng.random(CRAB_LINES)
-        self._size = sigma * math.sqrt(2.0 / CRAB_LINES)
-
-    def angle(self, distance: Array, speed: Array, accel: Array) -> tuple[Array, Array, Array]:
-        """Angle (rad, clockwise) and two derivatives in time, (n,) each."""
-        wave = self._number * distance[:, None] + self._phase
-        sine, cosine = self._size * np.sin(wave), self._size * np.cos(wave) * self._number
-        slope = cosine.sum(axis=1)
-        bend = -(sine * self._number**2).sum(axis=1)
-        return sine.sum(axis=1), slope * speed, slope * accel + bend * speed**2
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,60 +105,7 @@ class TruthState:
 def mounting_matrix(pitch_deg: float, roll_deg: float, heading_deg: float) -> Array:
     """C_vb (3, 3) of an IMU mounted at these angles to the vehicle, in the order heading, pitch, roll."""
     angles = np.radians(np.array([[heading_deg, pitch_deg, roll_deg]]))
-    return np.asarray(_attitude(angles[:, 0], angles[:, 1], angles[:, 2])[0])
-
-
-def _attitude(heading: Array, pitch: Array, roll: Array) -> Array:
-    """C_gv (n, 3, 3) from vehicle axes to east-north-up: heading, then pitch, then roll."""
-    sh, ch, sp, cp = np.sin(heading), np.cos(heading), np.sin(pitch), np.cos(pitch)
-    sr, cr = np.sin(roll), np.cos(roll)
-    return np.stack(
-        (
-            np.stack((ch * cr + sh * sp * sr, sh * cp, ch * sr - sh * sp * cr), axis=-1),
-            np.stack((-sh * cr + ch * sp * sr, ch * cp, -sh * sr - ch * sp * cr), axis=-1),
-            np.stack((-cp * sr, sp, cp * cr), axis=-1),
-        ),
-        axis=-2,
-    )
-
-
-def _quaternion(C: Array) -> Array:
-    """Quaternion (4,) of a rotation matrix, scalar part not negative."""
-    # largest of the four squares first: never a division by something small
-    trace = float(np.trace(C))
-    squares = np.array([trace, C[0, 0], C[1, 1], C[2, 2]])
-    k = int(np.argmax(squares))
-    q = np.empty(4)
-    if k == 0:
-        q[:] = 1.0 + trace, C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]
-    else:
-        i, j, m = k - 1, k % 3, (k + 1) % 3
-        q[0] = C[m, j] - C[j, m]
-        q[1 + i] = 1.0 + C[i, i] - C[j, j] - C[m, m]
-        q[1 + j] = C[j, i] + C[i, j]
-        q[1 + m] = C[m, i] + C[i, m]
-    q /= math.sqrt(float(q @ q))
-    return -q if q[0] < 0.0 else q
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.stack(
-        (
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ),
-        axis=-1,
-    )
-
-
-def _down(C: Array, v: Array) -> Array:
-    """C^T v for stacks: a vector from the axes C maps to into the axes C maps from."""
-    return np.asarray((C * v[..., :, None]).sum(axis=-2))
-
-
-def _up(C: Array, v: Array) -> Array:
-    return np.asarray((C * v[..., None, :]).sum(axis=-1))
+    return np.asarray(attitude(angles[:, 0], angles[:, 1], angles[:, 2])[0])
 
 
 class Trajectory:
@@ -252,8 +175,8 @@ class Trajectory:
             lon=float(at.lon[0]),
             height=float(at.height[0]),
             v_g=at.v_g[0],
-            q_gv=_quaternion(C_gv),
-            q_gb=_quaternion(C_gv @ C_vb),
+            q_gv=quaternion(C_gv),
+            q_gb=quaternion(C_gv @ C_vb),
             w_ib_b=C_vb.T @ imu.w_iv_v[0],
             f_b=C_vb.T @ imu.f_v[0],
             roll=math.atan2(-C_gv[2, 0], C_gv[2, 2]),
@@ -292,7 +215,7 @@ class Trajectory:
         r = np.broadcast_to(self._r0[a], (b - a, NODES, 3)).copy()
         for _ in range(_PICARD):
             lat, lon, _h = ellipsoid.to_geodetic(r.reshape(-1, 3))
-            v_e = _up(ellipsoid.axes_eh(lat, lon, self.pole), v_h).reshape(b - a, NODES, 3)
+            v_e = up(ellipsoid.axes_eh(lat, lon, self.pole), v_h).reshape(b - a, NODES, 3)
             steps = half[:, 0] * np.einsum("k,pkc->pc", _AT_END, v_e)
             self._r0[a + 1 : b + 1] = self._r0[a] + np.cumsum(steps, axis=0)
             r = self._r0[a:b, None, :] + half * np.einsum("ik,pkc->pic", _AT_NODES, v_e)
@@ -337,7 +260,7 @@ class Trajectory:
             psi, pitch, roll = psi + now[0], pitch + now[1], roll + now[2]
             psi1, pitch1, roll1 = psi1 + first[0], pitch1 + first[1], roll1 + first[2]
             psi2, pitch2, roll2 = psi2 + second[0], pitch2 + second[1], roll2 + second[2]
-        C_hv = _attitude(psi, pitch, roll)
+        C_hv = attitude(psi, pitch, roll)
         sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
         w_hv = np.stack(
             (pitch1 * cr + psi1 * cp * sr, roll1 - psi1 * sp, pitch1 * sr - psi1 * cp * cr), axis=-1
@@ -352,26 +275,26 @@ class Trajectory:
             axis=-1,
         )
 
-        w_eh_v = _down(C_hv, w_eh_h)
+        w_eh_v = down(C_hv, w_eh_h)
         w_ev = w_eh_v + w_hv
-        wdot_ev = _down(C_hv, wdot_eh_h) + _cross(w_eh_v, w_hv) + wdot_hv
-        w_ie_v = _down(C_hv, w_ie_h)
+        wdot_ev = down(C_hv, wdot_eh_h) + cross(w_eh_v, w_hv) + wdot_hv
+        w_ie_v = down(C_hv, w_ie_h)
         lever = np.broadcast_to(point, w_ev.shape)
-        swing = _cross(w_ev, lever)
-        v_v = _down(C_hv, v_h) + swing
-        accel_v = _down(C_hv, vdot_h + _cross(w_eh_h, v_h)) + _cross(wdot_ev, lever) + _cross(w_ev, swing)
-        r_e = r_axle + _up(C_eh, _up(C_hv, lever))
-        v_point_e = _up(C_eh, _up(C_hv, v_v))
+        swing = cross(w_ev, lever)
+        v_v = down(C_hv, v_h) + swing
+        accel_v = down(C_hv, vdot_h + cross(w_eh_h, v_h)) + cross(wdot_ev, lever) + cross(w_ev, swing)
+        r_e = r_axle + up(C_eh, up(C_hv, lever))
+        v_point_e = up(C_eh, up(C_hv, v_v))
         lat_p, lon_p, height_p = ellipsoid.to_geodetic(r_e)
         C_ep = ellipsoid.axes_eg(lat_p, lon_p)
         g_north, g_up = ellipsoid.gravity(lat_p, height_p)
         gravity_e = g_north[:, None] * C_ep[:, :, 1] + g_up[:, None] * C_ep[:, :, 2]
-        f_v = accel_v + 2.0 * _cross(w_ie_v, v_v) - _down(C_hv, _down(C_eh, gravity_e))
+        f_v = accel_v + 2.0 * cross(w_ie_v, v_v) - down(C_hv, down(C_eh, gravity_e))
         return Motion(
             lat=lat_p,
             lon=lon_p,
             height=height_p,
-            v_g=_down(C_ep, v_point_e),
+            v_g=down(C_ep, v_point_e),
             # against the local axes of the point itself, which differ from the axle's a metre away
             C_gv=np.swapaxes(C_ep, 1, 2) @ C_eh @ C_hv,
             w_iv_v=w_ie_v + w_ev,

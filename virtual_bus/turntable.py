@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from virtual_bus import ellipsoid
 from virtual_bus.ellipsoid import OMEGA
 from virtual_bus.manoeuvres import Blend, Profile, Static, smooth, smooth_area
-from virtual_bus.scenario import ImuTable, NavigatorTable, Scenario, Start
+from virtual_bus.scenario import Scenario
+from virtual_bus.tables import ImuTable, NavigatorTable, Start
 from virtual_bus.truth import Motion, Times, Trajectory, Vehicle
 
 Array = NDArray[np.float64]

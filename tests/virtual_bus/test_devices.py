@@ -18,7 +18,7 @@ from virtual_bus import scenario
 from virtual_bus.bus import Bench
 from virtual_bus.devices import FRAME_NS
 from virtual_bus.faults import GnssOutage, Reset
-from virtual_bus.scenario import SpeedTable
+from virtual_bus.tables import SpeedTable
 
 
 def frames_of(bench):
