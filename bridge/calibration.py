@@ -10,11 +10,22 @@
     bias_deg_per_h = [0.1, -0.2, 0.05]
     g_sensitivity_deg_per_h_per_g = [[...], [...], [...]]   # row: gyro; column: right, forward, up
     misalignment_arcsec = [[0, 10, -5], [...], [...]]       # row: gyro; what it sees of the other axes
+    square_deg_per_h_per_g2 = [[...], [...], [...]]         # row: gyro; of fx fx, fy fy, fz fz
+    product_deg_per_h_per_g2 = [[...], [...], [...]]        # row: gyro; of fy fz, fz fx, fx fy
+    scale_temperature_ppm_per_deg_c = [[3.0, 0.01], [...], [...]]  # row: gyro; per degC, per degC^2, ...
+    bias_temperature_deg_per_h_per_deg_c = [[...], [...], [...]]
     [accel]
     scale_ug_s_per_pulse = [50.0, 50.0, 50.0]
     bias_ug = [100.0, -50.0, 30.0]
     misalignment_arcsec = [[...], [...], [...]]
+    square_ug_per_g2 = [[...], [...], [...]]
+    product_ug_per_g2 = [[...], [...], [...]]
+    scale_temperature_ppm_per_deg_c = [[...], [...], [...]]
+    bias_temperature_ug_per_deg_c = [[...], [...], [...]]
     lever_arm_mm = [[...], [...], [...]]       # row: accelerometer; where it sits: right, forward, up
+    [temperature]                              # where there are polynomials in it
+    reference_deg_c = 25.0                     # scales and biases above are those at this temperature
+    range_deg_c = [-40.0, 60.0]                # beyond it what holds at its nearer end
 
 A scale for negative counts (``scale_negative_...``) is given where it differs; ``axes`` (3 x 3, no unit)
 instead of a misalignment where the sensors are not along the axes at all. A file that
@@ -32,7 +43,7 @@ import numpy as np
 
 from bridge.errors import ConfigError
 from bridge.strict import Table, convert, one_of, parse, wrong
-from nav.imu.pulses import Calibration
+from nav.imu.pulses import Calibration, Thermal
 from nav.types import Vector
 
 G: Final = 9.80665  # m/s^2, the unit "g"
@@ -42,33 +53,61 @@ _ARCSEC: Final = _DEG / 3600.0
 _GYRO_SCALE: Final = {"arcsec_per_pulse": _ARCSEC, "deg_per_pulse": _DEG, "urad_per_pulse": 1e-6}
 _ACCEL_SCALE: Final = {"ug_s_per_pulse": 1e-6 * G, "m_s_per_pulse": 1.0, "mm_s_per_pulse": 1e-3}
 _ANGLE: Final = {"arcsec": _ARCSEC, "mrad": 1e-3, "deg": _DEG}
+_DRIFT: Final = {"deg_per_h": _DEG / 3600.0, "deg_per_s": _DEG}
+_PUSH: Final = {"ug": 1e-6 * G, "mg": 1e-3 * G, "m_s2": 1.0}
+_GYRO_SECOND: Final = {f"{unit}_per_g2": si / G**2 for unit, si in _DRIFT.items()}
+_ACCEL_SECOND: Final = {"ug_per_g2": 1e-6 / G, "mg_per_g2": 1e-3 / G}
+_SCALE_TEMPERATURE: Final = {"ppm_per_deg_c": 1e-6}
 
 UNITS: Final[dict[str, dict[str, dict[str, float]]]] = {
     "gyro": {
         "scale": _GYRO_SCALE,
         "scale_negative": _GYRO_SCALE,
-        "bias": {"deg_per_h": _DEG / 3600.0, "deg_per_s": _DEG},
-        "g_sensitivity": {"deg_per_h_per_g": _DEG / 3600.0 / G, "deg_per_s_per_g": _DEG / G},
+        "bias": _DRIFT,
+        "g_sensitivity": {f"{unit}_per_g": si / G for unit, si in _DRIFT.items()},
         "misalignment": _ANGLE,
         "axes": {"": 1.0},
+        "square": _GYRO_SECOND,
+        "product": _GYRO_SECOND,
+        "scale_temperature": _SCALE_TEMPERATURE,
+        "bias_temperature": {f"{unit}_per_deg_c": si for unit, si in _DRIFT.items()},
     },
     "accel": {
         "scale": _ACCEL_SCALE,
         "scale_negative": _ACCEL_SCALE,
-        "bias": {"ug": 1e-6 * G, "mg": 1e-3 * G, "m_s2": 1.0},
+        "bias": _PUSH,
         "misalignment": _ANGLE,
         "axes": {"": 1.0},
         "lever_arm": {"m": 1.0, "mm": 1e-3},
+        "square": _ACCEL_SECOND,
+        "product": _ACCEL_SECOND,
+        "scale_temperature": _SCALE_TEMPERATURE,
+        "bias_temperature": {f"{unit}_per_deg_c": si for unit, si in _PUSH.items()},
     },
 }
 """Per sensor and quantity: the units its key may end in, and what they are in SI."""
 
-_MATRICES: Final = ("g_sensitivity", "misalignment", "axes", "lever_arm")
+_KEYS: Final = {
+    sensor: {
+        f"{quantity}_{unit}" if unit else quantity: (quantity, factor)
+        for quantity, units in quantities.items()
+        for unit, factor in units.items()
+    }
+    for sensor, quantities in UNITS.items()
+}
+_MATRICES: Final = ("g_sensitivity", "misalignment", "axes", "lever_arm", "square", "product")
+_POLYNOMIALS: Final = ("scale_temperature", "bias_temperature")
+_MOST_POWERS: Final = 6
 
 
 class _Device(Table):
     model: str = ""
     serial: int | None = None
+
+
+class _Temperature(Table):
+    reference_deg_c: float
+    range_deg_c: tuple[float, float]
 
 
 class Certificate(Table):
@@ -113,7 +152,7 @@ def read_calibration(data: bytes, file: str) -> CalibrationFile:
         ConfigError: a key, unit, shape or value is wrong, with the key.
     """
     document = parse(data, file)
-    known = ("device", "certificate", "sigma", *UNITS)
+    known = ("device", "certificate", "sigma", "temperature", *UNITS)
     for name in document:
         if name not in known:
             expected = one_of(name, known)
@@ -137,10 +176,32 @@ def read_calibration(data: bytes, file: str) -> CalibrationFile:
             gyro_axes=gyro["axes"],
             accel_axes=accel["axes"],
             accel_arms=accel.get("lever_arm", np.zeros((3, 3))),
+            gyro_square=gyro.get("square", np.zeros((3, 3))),
+            gyro_product=gyro.get("product", np.zeros((3, 3))),
+            accel_square=accel.get("square", np.zeros((3, 3))),
+            accel_product=accel.get("product", np.zeros((3, 3))),
+            thermal=_thermal(document, gyro, accel, file),
         )
     except ValueError as error:
         raise ConfigError(f"{file}: {error}") from error
     return CalibrationFile(calibration, device.model, device.serial, certificate)
+
+
+def _thermal(
+    document: dict[str, Any], gyro: dict[str, Vector], accel: dict[str, Vector], file: str
+) -> Thermal | None:
+    """The polynomials in temperature, None where there are none; raises ValueError or ConfigError."""
+    parts = [values.get(name) for values in (gyro, accel) for name in _POLYNOMIALS]
+    if "temperature" not in document:
+        if any(part is not None for part in parts):
+            raise ConfigError(f"{file}: temperature: found no table, expected that of the polynomials")
+        return None
+    table = convert(document["temperature"], _Temperature, file, "temperature")
+    if all(part is None for part in parts):
+        raise wrong(file, "temperature", table.reference_deg_c, "polynomials, as gyro.bias_temperature_...")
+    none = np.zeros((3, 0))
+    given = (none if part is None else part for part in parts)
+    return Thermal(table.reference_deg_c, *table.range_deg_c, *given)
 
 
 def _check_sigmas(document: dict[str, Any], file: str) -> None:
@@ -159,18 +220,16 @@ def _check_sigmas(document: dict[str, Any], file: str) -> None:
                 raise ConfigError(
                     f"{file}: {key}: found an unknown key, expected {one_of(name, document[sensor])}"
                 )
-            _array(value, isinstance(document[sensor][name][0], list), file, key)
+            sigma = _array(value, _KEYS[sensor][name][0], file, key)
+            if sigma.shape != np.shape(document[sensor][name]):
+                raise wrong(file, key, value, f"as many numbers as in {sensor}.{name}")
 
 
 def _sensor(document: dict[str, Any], sensor: str, file: str) -> dict[str, Vector]:
     table = document.get(sensor)
     if not isinstance(table, dict):
         raise ConfigError(f"{file}: {sensor}: found no table, expected [{sensor}] with at least its scale")
-    keys = {
-        f"{quantity}_{unit}" if unit else quantity: (quantity, factor)
-        for quantity, units in UNITS[sensor].items()
-        for unit, factor in units.items()
-    }
+    keys = _KEYS[sensor]
     values: dict[str, Vector] = {}
     for name, value in table.items():
         key = f"{sensor}.{name}"
@@ -179,7 +238,7 @@ def _sensor(document: dict[str, Any], sensor: str, file: str) -> dict[str, Vecto
         quantity, factor = keys[name]
         if quantity in values:
             raise wrong(file, key, name, f"the {quantity} once, in one unit")
-        values[quantity] = _array(value, quantity in _MATRICES, file, key) * factor
+        values[quantity] = _array(value, quantity, file, key) * factor
     if "scale" not in values:
         names = [name for name, (quantity, _) in keys.items() if quantity == "scale"]
         raise ConfigError(f"{file}: {sensor}: found no scale, expected one of {', '.join(names)}")
@@ -197,13 +256,19 @@ def _sensor(document: dict[str, Any], sensor: str, file: str) -> dict[str, Vecto
     return values
 
 
-def _array(value: Any, matrix: bool, file: str, key: str) -> Vector:
-    expected = "three rows of three numbers" if matrix else "three numbers (right, forward, up)"
-    rows = value if matrix else [value]
-    if not isinstance(rows, list) or len(rows) != (3 if matrix else 1):
+def _array(value: Any, quantity: str, file: str, key: str) -> Vector:
+    """Numbers of a quantity, (3,), (3, 3) or, of a polynomial, (3, number of powers)."""
+    rows, count, length, expected = value, 3, 3, "three rows of three numbers"
+    if quantity in _POLYNOMIALS:
+        first = value[0] if isinstance(value, list) and value else None
+        length = min(max(len(first), 1), _MOST_POWERS) if isinstance(first, list) else 1
+        expected = f"three rows of equal length, of 1 to {_MOST_POWERS} numbers"
+    elif quantity not in _MATRICES:
+        rows, count, expected = [value], 1, "three numbers (right, forward, up)"
+    if not isinstance(rows, list) or len(rows) != count:
         raise wrong(file, key, value, expected)
     for row in rows:
-        if not isinstance(row, list) or len(row) != 3:
+        if not isinstance(row, list) or len(row) != length:
             raise wrong(file, key, row, expected)
         for item in row:
             if isinstance(item, bool) or not isinstance(item, int | float):
