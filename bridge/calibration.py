@@ -28,7 +28,8 @@
     range_deg_c = [-40.0, 60.0]                # beyond it what holds at its nearer end
 
 A scale for negative counts (``scale_negative_...``) is given where it differs; ``axes`` (3 x 3, no unit)
-instead of a misalignment where the sensors are not along the axes at all. A file that
+instead of a misalignment where the sensors are not along the axes at all. Of a redundant unit there are
+four to six numbers, and as many rows (`bridge.calibration_sensors`). A file that
 ``navbridge calibrate`` wrote says in ``[certificate]`` when and how it was measured, and in ``[sigma.gyro]``
 and ``[sigma.accel]`` how well every coefficient is known, under the coefficient's own key.
 """
@@ -98,6 +99,8 @@ _KEYS: Final = {
 _MATRICES: Final = ("g_sensitivity", "misalignment", "axes", "lever_arm", "square", "product")
 _POLYNOMIALS: Final = ("scale_temperature", "bias_temperature")
 _MOST_POWERS: Final = 6
+_WORDS: Final = {3: "three", 4: "four", 5: "five", 6: "six"}
+"""Sensors of one kind that have a place on the bus."""
 
 
 class _Device(Table):
@@ -145,8 +148,29 @@ class CalibrationFile:
     certificate: Certificate | None = None
 
 
+@dataclass(frozen=True)
+class Parts:
+    """A calibration file taken apart: quantities of gyros and accelerometers, SI, by name, and the whole."""
+
+    gyro: dict[str, Vector]
+    accel: dict[str, Vector]
+    model: str
+    serial: int | None
+    certificate: Certificate | None
+    document: dict[str, Any]
+
+
 def read_calibration(data: bytes, file: str) -> CalibrationFile:
-    """Read a calibration file from its bytes; ``file`` is its name for messages.
+    """Read the calibration file of three gyros and three accelerometers; ``file`` is its name for messages.
+
+    Raises:
+        ConfigError: a key, unit, shape or value is wrong, with the key, or it has other than three.
+    """
+    return calibration_of(read_parts(data, file), file)
+
+
+def read_parts(data: bytes, file: str) -> Parts:
+    """Read any calibration file from its bytes.
 
     Raises:
         ConfigError: a key, unit, shape or value is wrong, with the key.
@@ -164,6 +188,19 @@ def read_calibration(data: bytes, file: str) -> CalibrationFile:
     gyro = _sensor(document, "gyro", file)
     accel = _sensor(document, "accel", file)
     _check_sigmas(document, file)
+    return Parts(gyro, accel, device.model, device.serial, certificate, document)
+
+
+def calibration_of(parts: Parts, file: str) -> CalibrationFile:
+    """The coefficients of three gyros and three accelerometers.
+
+    Raises:
+        ConfigError: there are other than three, or their axes do not span space.
+    """
+    gyro, accel = parts.gyro, parts.accel
+    for sensor, values in (("gyro", gyro), ("accel", accel)):
+        if len(values["scale"]) != 3:
+            raise wrong(file, sensor, f"{len(values['scale'])} sensors", "three here")
     try:
         calibration = Calibration(
             gyro_scale_plus=gyro["scale"],
@@ -173,18 +210,18 @@ def read_calibration(data: bytes, file: str) -> CalibrationFile:
             gyro_bias=gyro.get("bias", np.zeros(3)),
             accel_bias=accel.get("bias", np.zeros(3)),
             gyro_g=gyro.get("g_sensitivity", np.zeros((3, 3))),
-            gyro_axes=gyro["axes"],
-            accel_axes=accel["axes"],
+            gyro_axes=gyro.get("axes", np.eye(3)),
+            accel_axes=accel.get("axes", np.eye(3)),
             accel_arms=accel.get("lever_arm", np.zeros((3, 3))),
             gyro_square=gyro.get("square", np.zeros((3, 3))),
             gyro_product=gyro.get("product", np.zeros((3, 3))),
             accel_square=accel.get("square", np.zeros((3, 3))),
             accel_product=accel.get("product", np.zeros((3, 3))),
-            thermal=_thermal(document, gyro, accel, file),
+            thermal=_thermal(parts.document, gyro, accel, file),
         )
     except ValueError as error:
         raise ConfigError(f"{file}: {error}") from error
-    return CalibrationFile(calibration, device.model, device.serial, certificate)
+    return CalibrationFile(calibration, parts.model, parts.serial, parts.certificate)
 
 
 def _thermal(
@@ -220,7 +257,7 @@ def _check_sigmas(document: dict[str, Any], file: str) -> None:
                 raise ConfigError(
                     f"{file}: {key}: found an unknown key, expected {one_of(name, document[sensor])}"
                 )
-            sigma = _array(value, _KEYS[sensor][name][0], file, key)
+            sigma = _array(value, _KEYS[sensor][name][0], len(document[sensor][name]), file, key)
             if sigma.shape != np.shape(document[sensor][name]):
                 raise wrong(file, key, value, f"as many numbers as in {sensor}.{name}")
 
@@ -231,6 +268,7 @@ def _sensor(document: dict[str, Any], sensor: str, file: str) -> dict[str, Vecto
         raise ConfigError(f"{file}: {sensor}: found no table, expected [{sensor}] with at least its scale")
     keys = _KEYS[sensor]
     values: dict[str, Vector] = {}
+    count = next((_sensors(table[name]) for name in table if keys.get(name, ("", 0))[0] == "scale"), 3)
     for name, value in table.items():
         key = f"{sensor}.{name}"
         if name not in keys:
@@ -238,7 +276,7 @@ def _sensor(document: dict[str, Any], sensor: str, file: str) -> dict[str, Vecto
         quantity, factor = keys[name]
         if quantity in values:
             raise wrong(file, key, name, f"the {quantity} once, in one unit")
-        values[quantity] = _array(value, quantity, file, key) * factor
+        values[quantity] = _array(value, quantity, count, file, key) * factor
     if "scale" not in values:
         names = [name for name, (quantity, _) in keys.items() if quantity == "scale"]
         raise ConfigError(f"{file}: {sensor}: found no scale, expected one of {', '.join(names)}")
@@ -247,24 +285,32 @@ def _sensor(document: dict[str, Any], sensor: str, file: str) -> dict[str, Vecto
     if "misalignment" in values:
         if "axes" in values:
             raise wrong(file, f"{sensor}.axes", "both", "either axes or misalignment")
+        if count != 3:
+            raise wrong(file, f"{sensor}.misalignment", f"{count} sensors", "axes where there are over three")
         if np.any(np.diag(values["misalignment"]) != 0.0):
             raise wrong(
                 file, f"{sensor}.misalignment", "a diagonal", "zeros there: scale errors belong in scale"
             )
         values["axes"] = np.eye(3) + values["misalignment"]
-    values.setdefault("axes", np.eye(3))
     return values
 
 
-def _array(value: Any, quantity: str, file: str, key: str) -> Vector:
-    """Numbers of a quantity, (3,), (3, 3) or, of a polynomial, (3, number of powers)."""
-    rows, count, length, expected = value, 3, 3, "three rows of three numbers"
+def _sensors(scale: object) -> int:
+    """Of how many sensors a table is, by its scale."""
+    return len(scale) if isinstance(scale, list) and len(scale) in _WORDS else 3
+
+
+def _array(value: Any, quantity: str, count: int, file: str, key: str) -> Vector:
+    """Numbers of a quantity of ``count`` sensors, (n,), (n, 3) or, of a polynomial, (n, number of powers)."""
+    number = _WORDS[count]
+    rows, length, expected = value, 3, f"{number} rows of three numbers"
     if quantity in _POLYNOMIALS:
         first = value[0] if isinstance(value, list) and value else None
         length = min(max(len(first), 1), _MOST_POWERS) if isinstance(first, list) else 1
-        expected = f"three rows of equal length, of 1 to {_MOST_POWERS} numbers"
+        expected = f"{number} rows of equal length, of 1 to {_MOST_POWERS} numbers"
     elif quantity not in _MATRICES:
-        rows, count, expected = [value], 1, "three numbers (right, forward, up)"
+        expected = f"{number} numbers" + (" (right, forward, up)" if count == 3 else "")
+        rows, count, length = [value], 1, count
     if not isinstance(rows, list) or len(rows) != count:
         raise wrong(file, key, value, expected)
     for row in rows:
