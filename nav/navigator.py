@@ -20,6 +20,7 @@ from nav.filter.aiding import Aiding
 from nav.filter.history import Timeline
 from nav.filter.initial import initial_state
 from nav.filter.mounting import MountingSearch, settle
+from nav.filter.reconfigured import reconfigured
 from nav.filter.report import solution_covariance
 from nav.filter.settings import ImuErrors, NavigatorConfig, parameters
 from nav.filter.standstill import Rest, Standstill
@@ -28,6 +29,7 @@ from nav.types import (
     BaroSample,
     FixType,
     GnssFix,
+    ImuChange,
     ImuFlag,
     ImuSample,
     Mode,
@@ -49,6 +51,7 @@ _BRIDGED: Final = int(ImuFlag.BRIDGED)
 _SATURATED: Final = int(ImuFlag.SATURATED)
 _FAULT: Final = int(ImuFlag.DEVICE_FAULT)
 _GAP: Final = int(ImuFlag.GAP)
+_AIDED: Final = int(SolutionFlag.GNSS | SolutionFlag.ODOMETER)
 _ALIGNED: Final = int(SolutionFlag.POSITION | SolutionFlag.VELOCITY | SolutionFlag.LEVEL)
 
 
@@ -118,6 +121,9 @@ class Navigator:
             return self._drain()
         if type(sample) is ImuSample:
             self._inertial(sample)
+        elif type(sample) is ImuChange:
+            if not self._aligning.running:
+                self._timeline.act(sample.t_ns, reconfigured(sample, not self._flags & _AIDED))
         elif self._aligning.running:
             self._align_on(sample)
         else:

@@ -36,6 +36,7 @@ class ImuFlag(IntFlag):
     SATURATED = 2  # a counter was at the end of its range
     DEVICE_FAULT = 4  # the device itself says so
     GAP = 8  # samples before this one are missing and were not bridged
+    EXCLUDED = 16  # made without a sensor of a redundant unit that is not trusted
 
 
 class FixType(IntEnum):
@@ -79,6 +80,24 @@ class ImuSample(NamedTuple):
     dv: Vector
     device: str
     flags: int = 0
+
+
+class ImuChange(NamedTuple):
+    """From ``t_ns`` on a redundant unit is made of other sensors, or others are suspected.
+
+    Bits are sensors, the first the lowest: those that are not used (``out``) and those one of which has
+    failed, as far as is known (``suspect``). ``owed`` (2, 3) rad and m/s in b is what samples before lack;
+    ``bias`` (2, 3) rad/s and m/s^2 one sigma of what the biases changed by along each axis of b.
+    """
+
+    t_ns: int
+    device: str
+    gyros_out: int
+    gyros_suspect: int
+    accels_out: int
+    accels_suspect: int
+    owed: Vector
+    bias: Vector
 
 
 class OdoSample(NamedTuple):
@@ -156,7 +175,7 @@ class MasterState(NamedTuple):
     device: str
 
 
-Sample = ImuSample | OdoSample | SpeedSample | BaroSample | GnssFix | MasterState
+Sample = ImuSample | ImuChange | OdoSample | SpeedSample | BaroSample | GnssFix | MasterState
 
 
 class S:

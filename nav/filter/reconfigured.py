@@ -1,0 +1,42 @@
+"""What a filter does when a redundant unit goes on with other sensors than before.
+
+Before a fault is found it has moved attitude and velocity by what the unit then says is owed. Without aids
+all of that is still there, and is put right. Aids have taken out more or less of it, nobody knows how much:
+putting it right again would be as wrong, so the state stays and its covariance grows by it. The biases
+of what is fused are other ones in any case: the weights of the sensors have changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from nav.filter import states as st
+from nav.filter.records import Filter
+from nav.rotation import dcm_from_quat, quat_from_rotvec, quat_multiply, quat_normalize
+from nav.strapdown.kernels import X_Q, X_V
+from nav.types import ImuChange
+
+
+def reconfigured(change: ImuChange, blind: bool) -> Callable[[Filter], None]:
+    """The action that a filter answers ``change`` with; ``blind``: it has had no aids of late."""
+
+    def action(f: Filter) -> None:
+        turned, pushed = change.owed
+        q, v = f.x[X_Q : X_Q + 4], f.x[X_V : X_V + 3]
+        if blind:
+            v += dcm_from_quat(q) @ pushed
+            q[:] = quat_normalize(quat_multiply(q, quat_from_rotvec(turned)))
+        else:
+            # in every direction: over the seconds in question the unit may have turned
+            _widen(f, st.PHI, np.full(3, turned @ turned))
+            _widen(f, st.VELOCITY, np.full(3, pushed @ pushed))
+        _widen(f, st.GYRO_BIAS, change.bias[0] ** 2)
+        _widen(f, st.ACCEL_BIAS, change.bias[1] ** 2)
+
+    return action
+
+
+def _widen(f: Filter, part: slice, variance: np.ndarray) -> None:
+    f.P[part, part] += np.diag(variance)

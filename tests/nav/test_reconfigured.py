@@ -1,0 +1,85 @@
+"""What a navigator makes of a redundant unit that goes on with other sensors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from nav import earth
+from nav.align import NavInit
+from nav.navigator import ImuErrors, Navigator, NavigatorConfig
+from nav.rotation import dcm_from_quat, quat_from_euler
+from nav.types import FixType, GnssFix, ImuChange, ImuSample, S, Solution
+
+LAT, HEIGHT, DT_NS = 0.8, 300.0, 10_000_000
+Q = quat_from_euler(0.7, 0.02, -0.01)
+OWED = np.array([[1e-3, -2e-3, 3e-3], [0.3, -0.2, 0.1]])
+BIAS = np.array([[1e-6, 2e-6, 3e-6], [1e-3, 2e-3, 3e-3]])
+
+
+def navigator() -> Navigator:
+    imu = ImuErrors(1e-6, 1e-4, 1e-7, 1e-3)
+    made = Navigator(NavigatorConfig(imu=imu, zero_velocity=None))
+    three = np.ones(3)
+    made.begin(
+        NavInit(
+            t_ns=0, lat=LAT, lon=0.0, height=HEIGHT, v_g=np.zeros(3), q_gb=Q, P_phi=np.eye(3) * 1e-8,
+            sigma_v=0.01 * three, sigma_p=three, gyro_bias=np.zeros(3), accel_bias=np.zeros(3),
+            sigma_gyro_bias=three * 1e-7, sigma_accel_bias=three * 1e-3,
+        )
+    )  # fmt: skip
+    return made
+
+
+def rest(k: int) -> ImuSample:
+    C_bg = dcm_from_quat(Q).T
+    rate = C_bg @ (earth.EARTH_RATE * np.array([0.0, math.cos(LAT), math.sin(LAT)]))
+    force = -C_bg @ earth.gravity_g(LAT, HEIGHT)
+    return ImuSample(k * DT_NS, 1e-2, rate * 1e-2, force * 1e-2, "imu")
+
+
+def driven(change: bool, fixes: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Solution row and covariance after a second at rest, half of it after a change of sensors."""
+    nav, row = navigator(), np.zeros(S.SIZE)
+    for k in range(1, 101):
+        if k == 51 and change:
+            nav.step(ImuChange(k * DT_NS, "imu", 8, 0, 0, 0, OWED, BIAS))
+        for event in nav.step(rest(k)):
+            if isinstance(event, Solution):
+                row = event.state
+        if fixes and k in (10, 30):
+            sigma = np.ones(3)
+            nav.step(GnssFix(k * DT_NS, LAT, 0.0, HEIGHT, sigma, None, None, FixType.FIX_3D, "gnss"))
+    return row, nav.covariance()
+
+
+def test_without_aids_what_is_owed_is_put_right() -> None:
+    (row, P), (plain, P0) = driven(True, False), driven(False, False)
+    # half a second with the tilt that was put right: 0.5 s * g * 3.7 mrad of more velocity at most
+    np.testing.assert_allclose(row[S.V] - plain[S.V], dcm_from_quat(Q) @ OWED[1], atol=0.02)
+    turned = dcm_from_quat(plain[S.Q]).T @ dcm_from_quat(row[S.Q])
+    np.testing.assert_allclose(
+        [turned[2, 1], turned[0, 2], turned[1, 0]], OWED[0], atol=2e-5
+    )  # second order of 4 mrad
+    # nothing but the biases became less sure: over half a second that is 5e-4 m/s and 1.5e-6 rad
+    np.testing.assert_allclose(np.sqrt(np.diag(P)[3:6]), np.sqrt(np.diag(P0)[3:6]), rtol=0.02)
+
+
+def test_with_aids_the_state_stays_and_is_less_sure() -> None:
+    (row, P), (plain, P0) = driven(True, True), driven(False, True)
+    np.testing.assert_allclose(row[S.V], plain[S.V], atol=1e-9)
+    np.testing.assert_allclose(row[S.Q], plain[S.Q], atol=1e-12)
+    more = np.diag(P) - np.diag(P0)
+    assert more[3:6] == pytest.approx(np.full(3, OWED[1] @ OWED[1]), rel=0.02)
+    assert more[6:9] == pytest.approx(np.full(3, OWED[0] @ OWED[0]), rel=0.02)
+    assert np.linalg.eigvalsh(P).min() > 0.0
+
+
+def test_while_it_stands_by_nothing_happens() -> None:
+    nav = Navigator(NavigatorConfig(imu=ImuErrors(1e-6, 1e-4, 1e-7, 1e-3)))
+    assert nav.step(ImuChange(0, "imu", 8, 0, 0, 0, OWED, BIAS)) == []
+    nav.start(0, "static")
+    nav.step(rest(1))
+    assert nav.step(ImuChange(2 * DT_NS, "imu", 8, 0, 0, 0, OWED, BIAS)) == []
