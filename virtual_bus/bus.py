@@ -20,7 +20,7 @@ from virtual_bus.dither import CYCLE, Dither
 from virtual_bus.faults import AnyFault, BusFrame, Faults, Flood
 from virtual_bus.grades import GRADES, PPM, draw_imu
 from virtual_bus.scenario import Scenario
-from virtual_bus.sensors import Barometer, Gnss, GnssErrors, Imu, Odometer, SpeedLog, generator
+from virtual_bus.sensors import Barometer, Gnss, GnssErrors, Imu, Odometer, SpeedLog, Warming, generator
 from virtual_bus.tables import DeviceTable
 from virtual_bus.truth import TruthState
 
@@ -179,7 +179,13 @@ class Bench:
         streams: dict[str, Iterator[BusFrame]] = {}
 
         imu = Imu(
-            trajectory, self.grade, self.imu_errors, noise["imu"], active, arrangement=self._arrangement()
+            trajectory,
+            self.grade,
+            self.imu_errors,
+            noise["imu"],
+            active,
+            arrangement=self._arrangement(),
+            warming=Warming(*s.imu.temperature_deg_c, s.imu.warm_up_s),
         )
         device = self._device("imu", s.imu, s.imu.rate_hz)
         streams["imu"] = devices.imu_frames(device, s.imu, imu, self.imu_errors.serial)

@@ -13,7 +13,18 @@ from numpy.typing import NDArray
 from virtual_bus.crab import CRAB_SHORTEST
 from virtual_bus.devices import FRAME_NS
 from virtual_bus.ellipsoid import G0
-from virtual_bus.grades import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, UG, Grade, ImuErrors
+from virtual_bus.grades import (
+    ARCSEC,
+    DEG_PER_H,
+    DEG_PER_SQRT_H,
+    PPM,
+    RANGE_DEG_C,
+    REFERENCE_DEG_C,
+    UG,
+    Grade,
+    ImuErrors,
+    Triad,
+)
 from virtual_bus.scenario import Scenario
 from virtual_bus.tables import DeviceTable
 from virtual_bus.truth import mounting_matrix
@@ -98,15 +109,46 @@ def calibration_toml(
         f"bias_deg_per_h = {_vector(gyro.bias / DEG_PER_H)}",
         f"g_sensitivity_deg_per_h_per_g = {_matrix(gyro.g_sensitivity * G0 / DEG_PER_H)}",
         f"misalignment_arcsec = {_matrix((gyro.axes - np.eye(3)) / ARCSEC)}",
+        *_second_order(gyro, "deg_per_h", DEG_PER_H),
+        *_temperature(gyro, "deg_per_h", DEG_PER_H),
         "",
         "[accel]",
         f"scale_m_s_per_pulse = {_vector(accel.scale)}",
         f"bias_ug = {_vector(accel.bias / UG)}",
         f"misalignment_arcsec = {_matrix((accel.axes - np.eye(3)) / ARCSEC)}",
+        *_second_order(accel, "ug", UG),
+        *_temperature(accel, "ug", UG),
     ]
     if arms_mm is not None:
         lines.append(f"lever_arm_mm = {_matrix(np.array(arms_mm))}")
+    if _temperature(gyro, "", 1.0) or _temperature(accel, "", 1.0):
+        lines += [
+            "",
+            "[temperature]",
+            f"reference_deg_c = {REFERENCE_DEG_C!r}",
+            f"range_deg_c = {list(RANGE_DEG_C)!r}",
+        ]
     return "\n".join(lines) + "\n"
+
+
+def _second_order(triad: Triad, unit: str, size: float) -> list[str]:
+    """Lines with the second-order terms of a triad that has some; ``size`` is its unit in SI."""
+    if not triad.second.any():
+        return []
+    per_g2 = triad.second * G0**2 / size
+    products = 2.0 * np.stack((per_g2[:, 1, 2], per_g2[:, 2, 0], per_g2[:, 0, 1]), axis=1)
+    squares = np.diagonal(per_g2, axis1=1, axis2=2)
+    return [f"square_{unit}_per_g2 = {_matrix(squares)}", f"product_{unit}_per_g2 = {_matrix(products)}"]
+
+
+def _temperature(triad: Triad, unit: str, size: float) -> list[str]:
+    """Lines with a triad's polynomials in temperature, where it has some."""
+    if not (triad.scale_temperature.any() or triad.bias_temperature.any()):
+        return []
+    return [
+        f"scale_temperature_ppm_per_deg_c = {_matrix(triad.scale_temperature / PPM)}",
+        f"bias_temperature_{unit}_per_deg_c = {_matrix(triad.bias_temperature / size)}",
+    ]
 
 
 def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:

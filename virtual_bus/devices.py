@@ -105,11 +105,6 @@ class Device:
         return np.asarray(t_ns + np.rint(self.table.latency_ms * 1e6 + late).astype(np.int64))
 
 
-def _warming(t_ns: Times) -> list[float]:
-    """Temperature (degC) of a sensor block after power-on."""
-    return list((25.0 + 12.0 * (1.0 - np.exp(t_ns * (-1e-9 / 600.0)))).tolist())
-
-
 def imu_frames(device: Device, table: ImuTable, imu: Imu, serial: int) -> Iterator[BusFrame]:
     """IMU_GYRO, IMU_ACCEL, IMU_TIME per sample and IMU_STATUS at 10 Hz, or IMU_FD per sample.
 
@@ -139,7 +134,7 @@ def imu_frames(device: Device, table: ImuTable, imu: Imu, serial: int) -> Iterat
             (block.device_ns[1:] // US).tolist(),
             counts.tolist(),
             saturated.tolist(),
-            _warming(block.t_ns[1:]),
+            imu.warming.at(block.t_ns[1:]).tolist(),
             strict=True,
         )
         ages = imu.arrangement.ages(block.t_ns[1:])

@@ -7,7 +7,7 @@ only bounds, typical data sheets within them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -22,6 +22,13 @@ DEG_PER_H: Final = math.radians(1.0) / 3600.0
 DEG_PER_SQRT_H: Final = math.radians(1.0) / 60.0
 UG: Final = 1e-6 * G0
 PPM: Final = 1e-6
+REFERENCE_DEG_C: Final = 25.0
+"""The temperature that scales and biases are told at."""
+RANGE_DEG_C: Final = (-45.0, 70.0)
+"""Where a sheet's polynomials in temperature hold."""
+_POWERS: Final = 2
+_AWAY_DEG_C: Final = 30.0
+"""So far from the reference all powers of temperature matter as much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +57,13 @@ class Grade:
     correlation_s: float  # of both instabilities, a value
     clock_ppm: float
     factory: float
+    gyro_product_deg_per_h_per_g2: float = 0.0  # of the specific force along two of the unit's axes
+    accel_square_ug_per_g2: float = 0.0  # along the sensor's own axis
+    accel_product_ug_per_g2: float = 0.0  # of its own axis and one across
+    gyro_scale_ppm_per_deg_c: float = 0.0
+    gyro_bias_deg_per_h_per_deg_c: float = 0.0
+    accel_scale_ppm_per_deg_c: float = 0.0
+    accel_bias_ug_per_deg_c: float = 0.0
 
 
 GRADES: Final = {
@@ -101,6 +115,36 @@ GRADES: Final = {
             clock_ppm=3.0,
             factory=10.0,
         ),
+        # dynamically tuned gyros (Table 2-2: drift 0.05 to 10 deg/h, 1 to 10 deg/h per g before calibration,
+        # scale 10 to 100 ppm; section 2.2.1.6), pendulous quartz accelerometers (Table 2-5), no heating
+        Grade(
+            name="dtg",
+            gyro_bias_deg_per_h=0.1,
+            gyro_instability_deg_per_h=0.03,
+            gyro_random_walk_deg_per_sqrt_h=0.01,
+            gyro_scale_ppm=30.0,
+            gyro_asymmetry_ppm=10.0,
+            gyro_misalignment_arcsec=10.0,
+            gyro_g_sensitivity_deg_per_h_per_g=0.05,
+            gyro_arcsec_per_pulse=0.1,
+            accel_bias_ug=60.0,
+            accel_instability_ug=15.0,
+            accel_random_walk_ug_per_sqrt_hz=10.0,
+            accel_scale_ppm=40.0,
+            accel_asymmetry_ppm=5.0,
+            accel_misalignment_arcsec=10.0,
+            accel_m_s_per_pulse=1.0e-5,
+            correlation_s=1800.0,
+            clock_ppm=3.0,
+            factory=20.0,
+            gyro_product_deg_per_h_per_g2=0.01,
+            accel_square_ug_per_g2=1.0,
+            accel_product_ug_per_g2=1.0,
+            gyro_scale_ppm_per_deg_c=2.0,
+            gyro_bias_deg_per_h_per_deg_c=0.003,
+            accel_scale_ppm_per_deg_c=5.0,
+            accel_bias_ug_per_deg_c=2.0,
+        ),
         # rate grade (Table 2-1: drift over 0.5 deg/h, scale under 1000 ppm), vibrating gyros, silicon
         # accelerometers (Table 2-5: bias 0.1 to 1 mg, and worse over temperature)
         Grade(
@@ -132,8 +176,10 @@ GRADES: Final = {
 class Triad:
     """Coefficients of n gyros or n accelerometers, SI, as the textbook's eqs. (2-27), (2-28).
 
-    Output per second = (axes @ input + bias + g_sensitivity @ f) / scale, where ``scale`` (n,) is the
-    size of a pulse and ``asymmetry`` (n,) the excess of pulses for positive over negative output.
+    Output per second = (axes @ input + bias + g_sensitivity @ f + f @ second @ f) / scale, where ``scale``
+    (n,) is the size of a pulse and ``asymmetry`` (n,) the excess of pulses for positive over negative output;
+    ``second`` (n, 3, 3) is symmetric. Column j of ``scale_temperature`` and ``bias_temperature`` (n, k) is
+    per degC^(j + 1) from the reference, of a scale as a share of it. One row of none stands for all sensors.
     """
 
     scale: Array
@@ -141,6 +187,9 @@ class Triad:
     axes: Array
     asymmetry: Array
     g_sensitivity: Array
+    second: Array = field(default_factory=lambda: np.zeros((1, 3, 3)))
+    scale_temperature: Array = field(default_factory=lambda: np.zeros((1, 0)))
+    bias_temperature: Array = field(default_factory=lambda: np.zeros((1, 0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +238,45 @@ def _draw_triad(
     return true, sheet
 
 
+def _products(rng: np.random.Generator, n: int, product: float) -> Array:
+    """Second-order terms (n, 3, 3) of gyros: of two different axes of the unit."""
+    out = np.zeros((n, 3, 3))
+    for a, b in ((1, 2), (2, 0), (0, 1)):
+        out[:, a, b] = out[:, b, a] = 0.5 * product * rng.standard_normal(n)
+    return out
+
+
+def _pendulous(rng: np.random.Generator, nominal: Array, square: float, product: float) -> Array:
+    """Second-order terms (n, 3, 3) of accelerometers about ``nominal`` (n, 3): with what is along them."""
+    own = square * rng.standard_normal((len(nominal), 1)) * nominal + _aside(rng, nominal, product)
+    mixed = nominal[:, :, None] * own[:, None, :]
+    return np.asarray(0.5 * (mixed + mixed.swapaxes(1, 2)))
+
+
+def _powers(rng: np.random.Generator, n: int, slope: float) -> Array:
+    return np.asarray(slope * rng.standard_normal((n, _POWERS)) / _AWAY_DEG_C ** np.arange(_POWERS))
+
+
+def _draw_more(
+    rng: np.random.Generator, grade: Grade, nominal: Array, k: float
+) -> tuple[dict[str, Array], ...]:
+    """Second-order terms and temperature of gyros and accelerometers, ``k`` times as large as calibrated."""
+    n, per_g2 = len(nominal), k / G0**2
+    g = grade
+    gyro = {
+        "second": _products(rng, n, per_g2 * g.gyro_product_deg_per_h_per_g2 * DEG_PER_H),
+        "scale_temperature": _powers(rng, n, k * g.gyro_scale_ppm_per_deg_c * PPM),
+        "bias_temperature": _powers(rng, n, k * g.gyro_bias_deg_per_h_per_deg_c * DEG_PER_H),
+    }
+    second = (per_g2 * size * UG for size in (g.accel_square_ug_per_g2, g.accel_product_ug_per_g2))
+    accel = {
+        "second": _pendulous(rng, nominal, *second),
+        "scale_temperature": _powers(rng, n, k * g.accel_scale_ppm_per_deg_c * PPM),
+        "bias_temperature": _powers(rng, n, k * g.accel_bias_ug_per_deg_c * UG),
+    }
+    return gyro, accel
+
+
 def draw_imu(grade: Grade, rng: np.random.Generator, axes: Array | None = None) -> ImuErrors:
     """One unit of a grade; gyros and accelerometers along ``axes`` (n, 3), unit vectors, by default three."""
     nominal = np.eye(3) if axes is None else axes
@@ -214,7 +302,17 @@ def draw_imu(grade: Grade, rng: np.random.Generator, axes: Array | None = None) 
         g=0.0,
         k=grade.factory,
     )
-    return ImuErrors(gyro[0], accel[0], gyro[1], accel[1], int(rng.integers(1, 1 << 24)))
+    # of a stream of their own, so that grades without them keep their units
+    more = rng.spawn(1)[0]
+    sheet, left = _draw_more(more, grade, nominal, grade.factory), _draw_more(more, grade, nominal, 1.0)
+    true = [{name: s[name] + d[name] for name in s} for s, d in zip(sheet, left, strict=True)]
+    return ImuErrors(
+        replace(gyro[0], **true[0]),
+        replace(accel[0], **true[1]),
+        replace(gyro[1], **sheet[0]),
+        replace(accel[1], **sheet[1]),
+        int(rng.integers(1, 1 << 24)),
+    )
 
 
 def ideal_imu(grade: Grade) -> ImuErrors:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from virtual_bus.arrangement import Arrangement
 from virtual_bus.ellipsoid import G0, axes_eg, axes_eh, to_geodetic
 from virtual_bus.faults import Faults, GnssJump, GnssOutage, GnssOutlier, StuckAccel, WheelSlip
-from virtual_bus.grades import DEG_PER_H, DEG_PER_SQRT_H, UG, Grade, ImuErrors
+from virtual_bus.grades import DEG_PER_H, DEG_PER_SQRT_H, REFERENCE_DEG_C, UG, Grade, ImuErrors
 from virtual_bus.truth import Trajectory
 
 Array = NDArray[np.float64]
@@ -71,6 +71,41 @@ class Quantiser:
         return np.asarray(np.diff(whole, axis=0, prepend=0.0).astype(np.int64))
 
 
+@dataclass(frozen=True, slots=True)
+class Warming:
+    """Warming up from the first instant on, ``cold`` to ``warm`` degC with a time constant of ``seconds``."""
+
+    cold: float = 25.0
+    warm: float = 37.0
+    seconds: float = 600.0
+
+    def at(self, t_ns: Times) -> Array:
+        """Temperature (n,) degC at ``t_ns`` (n,)."""
+        return np.asarray(self.cold + (self.warm - self.cold) * (1.0 - np.exp(t_ns * (-1e-9 / self.seconds))))
+
+
+def forces_squared(trajectory: Trajectory, t_ns: Times) -> Array:
+    """Integral of f f^T (n-1, 3, 3), (m/s^2)^2 s, between the times ``t_ns`` (n,).
+
+    Sums of squares over the whole and the half intervals, extrapolated: exact of a force on a line.
+    """
+    fine = np.sort(np.concatenate((t_ns, (t_ns[:-1] + t_ns[1:]) // 2)))
+    dv = trajectory.increments(fine)[1]
+    spans = np.diff(fine)[:, None, None] * 1e-9
+    parts = dv[:, :, None] * dv[:, None, :] / spans
+    halves = parts[::2] + parts[1::2]
+    whole = dv[::2] + dv[1::2]
+    return np.asarray(
+        (4.0 * halves - whole[:, :, None] * whole[:, None, :] / (spans[::2] + spans[1::2])) / 3.0
+    )
+
+
+def _polynomial(rows: Array, away: Array, n: int) -> Array:
+    """Polynomials (t, n) without constant, with coefficients (n, k) or (1, k), at ``away`` (t,) degC."""
+    powers = away[:, None] ** np.arange(1.0, rows.shape[1] + 1.0)
+    return np.broadcast_to(powers @ rows.T, (len(away), n))
+
+
 class Imu:
     """As many gyros as accelerometers (three on a bus) giving pulse counts, arranged in some way."""
 
@@ -83,8 +118,10 @@ class Imu:
         faults: Faults,
         noise: bool = True,
         arrangement: Arrangement | None = None,
+        warming: Warming = Warming(),
     ) -> None:
         self._trajectory = trajectory
+        self.warming = warming
         self.arrangement = arrangement or Arrangement()
         self._errors = errors
         self._rng = rng
@@ -117,13 +154,21 @@ class Imu:
         """
         out, dt = self.arrangement.outputs(self._trajectory, self._errors, t_ns)
         gyro, accel = self._errors.gyro, self._errors.accel
+        n = len(gyro.scale)
+        if gyro.second.any() or accel.second.any():
+            second = np.concatenate([np.broadcast_to(one.second, (n, 3, 3)) for one in (gyro, accel)])
+            out += np.einsum("tab,iab->ti", forces_squared(self._trajectory, t_ns), second)
+        away = self.warming.at((t_ns[:-1] + t_ns[1:]) // 2) - REFERENCE_DEG_C
+        drift = [_polynomial(one.bias_temperature, away, n) for one in (gyro, accel)]
+        growth = [_polynomial(one.scale_temperature, away, n) for one in (gyro, accel)]
         before, after = self._instability.step(float(dt[:, -1].sum()))
         place = ((np.arange(len(dt)) + 0.5) / len(dt))[:, None]
         bias = np.concatenate((gyro.bias, accel.bias)) + before + (after - before) * place
+        bias += np.concatenate(drift, axis=1)
         out += bias * dt + self._random_walk * np.sqrt(dt) * self._rng.standard_normal(out.shape)
         # the size of a positive pulse and of a negative one differ by the asymmetry
         asymmetry = np.concatenate((gyro.asymmetry, accel.asymmetry))
-        out /= np.concatenate((gyro.scale, accel.scale))
+        out /= np.concatenate((gyro.scale, accel.scale)) * (1.0 + np.concatenate(growth, axis=1))
         out *= 1.0 + 0.5 * asymmetry * np.sign(out)
         counts = self._quantiser.pulses(out)
         saturated = np.abs(counts) > COUNT_MAX

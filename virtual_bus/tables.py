@@ -14,6 +14,7 @@ Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
 Rate = Annotated[float, Meta(ge=0.1, le=2000.0)]
 DitherHz = Annotated[float, Meta(ge=160.0, le=1000.0)]
+DegC = Annotated[float, Meta(ge=-60.0, le=140.0)]
 Three = tuple[float, float, float]
 Two = tuple[NotNegative, NotNegative]
 
@@ -76,11 +77,14 @@ class ImuTable(DeviceTable):
     """``[imu]``. Its clock starts 100 s before its 32-bit microseconds wrap.
 
     ``dither_hz`` of laser gyros: each is latched at whole cycles of its own. ``inner_arms_mm`` is where
-    each accelerometer sits, right, forward and up of the unit's origin.
+    each accelerometer sits, right, forward and up of the unit's origin. From the first instant on it warms up
+    from one ``temperature_deg_c`` to the other with the time constant ``warm_up_s``.
     """
 
     rate_hz: Rate = 200.0
     fd: bool = False
+    temperature_deg_c: tuple[DegC, DegC] = (25.0, 37.0)
+    warm_up_s: Positive = 600.0
     dither_hz: tuple[DitherHz, DitherHz, DitherHz] | None = None
     inner_arms_mm: tuple[Three, Three, Three] | None = None
     clock_offset_s: NotNegative = 4194.967296

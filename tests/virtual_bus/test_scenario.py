@@ -107,7 +107,7 @@ def test_cut_and_extended(tmp_path):
         (("48.0", '"north"'), r"own.toml: start.lat_deg: found 'north', expected float"),
         (("48.0", "95.0"), r"own.toml: start.lat_deg: found 95.0, expected float <= 90.0"),
         (("48.0", "nan"), r"own.toml: start.lat_deg: found nan, expected a finite number"),
-        (('"fog"', '"fgo"'), r'own.toml: grade: found "fgo", expected one of fog, mems, rlg'),
+        (('"fog"', '"fgo"'), r'own.toml: grade: found "fgo", expected one of dtg, fog, mems, rlg'),
         (('"static"', '"hover"'), r'manoeuvre\[0\].kind: found "hover", expected one of accelerate, .*turn'),
         (("5.0", "-5.0"), r"own.toml: manoeuvre\[0\]: duration_s: found -5.0, expected a positive"),
         (("[start]", "[[start]]"), r"own.toml: start: found .* expected object"),
