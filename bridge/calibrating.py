@@ -35,6 +35,7 @@ _WRITTEN: Final = {
         "g_sensitivity": "deg_per_h_per_g",
         "misalignment": "arcsec",
         "axes": "",
+        "product": "deg_per_h_per_g2",
     },
     "accel": {
         "scale": "m_s_per_pulse",
@@ -42,9 +43,12 @@ _WRITTEN: Final = {
         "bias": "ug",
         "misalignment": "arcsec",
         "axes": "",
+        "square": "ug_per_g2",
+        "product": "ug_per_g2",
     },
 }
 """The unit in which each quantity is written."""
+_COLUMNS: Final = {"square": ("xx", "yy", "zz"), "product": ("yz", "zx", "xy")}
 _DIGITS: Final = 10
 
 
@@ -246,7 +250,7 @@ def lines_of(result: Calibrated) -> list[str]:
                 if sigmas[i, j] == 0.0:
                     continue  # one by definition, or not estimated
                 of = f"{kind} {LETTERS[i]} {name.replace('_', ' ')}"
-                of += f" {LETTERS[j]}" if rows.shape[1] > 1 else ""
+                of += f" {_COLUMNS.get(name, LETTERS)[j]}" if rows.shape[1] > 1 else ""
                 lines.append(f"{of:<44} {rows[i, j]:>14.7g} {sigmas[i, j]:>10.3g}  {unit.replace('_', ' ')}")
     lines += ["", *_table_lines(result), "", *residual_lines(result), "", *weak_lines(result.seen)]
     return lines
@@ -310,6 +314,9 @@ def _unit_of(name: str) -> tuple[str, float]:
     gyro = name.startswith("gyro")
     if "g sensitivity" in name:
         return "deg/h/g", UNITS["gyro"]["g_sensitivity"]["deg_per_h_per_g"]
+    if "square" in name or "product" in name:
+        kind, unit = ("gyro", "deg_per_h_per_g2") if gyro else ("accel", "ug_per_g2")
+        return unit.replace("_per_", "/"), UNITS[kind]["product"][unit]
     if name.endswith("bias"):
         return ("deg/h", UNITS["gyro"]["bias"]["deg_per_h"]) if gyro else ("ug", UNITS["accel"]["bias"]["ug"])
     if name.endswith(("scale", "asymmetry", "gravity")):

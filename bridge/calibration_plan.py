@@ -14,6 +14,7 @@
     [estimate]
     asymmetry = true             # a scale for positive and another for negative counts
     g_sensitivity = true         # of the gyros; not for optical ones
+    second_order = false         # squares and products of specific force
     [[position]]                 # in order; before all rotations
     faces = "SUW"                # where x, y, z of the unit point: N, E, S, W, U, D
     dwell_s = 120.0
@@ -71,6 +72,7 @@ class _TableErrors(Table):
 class _Estimate(Table):
     asymmetry: bool = True
     g_sensitivity: bool = True
+    second_order: bool = False
 
 
 class _Position(Table):
@@ -195,7 +197,7 @@ def read(data: bytes, file: str) -> Plan:
         table.title,
         None if site is None else Site(site.lat_deg, site.height_m, site.gravity_m_s2),
         (own.tilt_arcsec * _ARCSEC, own.north_arcsec * _ARCSEC, own.gravity_ug * 1e-6 * G),
-        Terms(table.estimate.asymmetry, table.estimate.g_sensitivity),
+        Terms(table.estimate.asymmetry, table.estimate.g_sensitivity, table.estimate.second_order),
         tuple(steps),
     )
 

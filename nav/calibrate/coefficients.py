@@ -11,14 +11,15 @@ from nav.calibrate.model import LETTERS
 from nav.calibrate.solve import Fit
 from nav.types import Vector
 
-KEYS: Final = ("scale", "scale_negative", "bias", "axes", "g_sensitivity")
+KEYS: Final = ("scale", "scale_negative", "bias", "axes", "g_sensitivity", "square", "product")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coefficients:
     """Values and sigmas, SI, of the gyros or the accelerometers of a unit, n of them, by `KEYS`.
 
-    ``scale``, ``scale_negative``, ``bias`` (n,), ``axes``, ``g_sensitivity`` (n, 3); the last of gyros alone.
+    ``scale``, ``scale_negative``, ``bias`` (n,), ``axes``, ``g_sensitivity``, ``square``, ``product`` (n, 3);
+    g sensitivity is of gyros, squares are of accelerometers, and second-order terms are there if asked for.
     """
 
     value: dict[str, Vector]
@@ -49,6 +50,12 @@ def coefficients(fit: Fit, gyros: bool) -> Coefficients:
             nothing = np.zeros(model.size)
             drift = [rows.get(f"g sensitivity {letter}", nothing) for letter in LETTERS]
             add("g_sensitivity", np.zeros(3), np.stack(drift))
+        if len(one.forms):
+            own = np.stack([rows[term] for term in one.terms[-len(one.forms) :]])
+            if not gyros:
+                add("square", np.zeros(3), np.einsum("kii->ik", one.forms) @ own)
+            pairs = np.stack([one.forms[:, j, k] for j, k in ((1, 2), (2, 0), (0, 1))])
+            add("product", np.zeros(3), 2.0 * pairs @ own)
     flat = ("scale", "scale_negative", "bias")
 
     def gathered(parts: dict[str, list[Vector]]) -> dict[str, Vector]:

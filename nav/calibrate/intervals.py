@@ -28,8 +28,9 @@ class Interval:
     """One position or rotation: sums of n gyros and m accelerometers, and where the table was.
 
     ``begin`` and ``seconds`` in s; ``turned`` (3,) rad, in b, is what the table turned through;
-    ``attitude`` (3, 3) s the integral of C_bg over the interval, as planned. ``plus``, ``minus`` hold
-    pulses, (n + m,) gyros first; they are empty in an interval that is only planned.
+    ``attitude`` (3, 3) s the integral of C_bg over the interval, ``squares`` (3, 3) s that of u u^T, u being
+    the direction up in b, both as planned. ``plus``, ``minus`` hold pulses, (n + m,) gyros first; they are
+    empty in an interval that is only planned.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Interval:
     seconds: float
     turned: Vector
     attitude: Vector
+    squares: Vector
     plus: Vector = field(default_factory=_none)
     minus: Vector = field(default_factory=_none)
 
@@ -80,13 +82,14 @@ def sums(counts: Vector) -> tuple[Vector, Vector]:
     return np.maximum(counts, 0.0).sum(axis=0), -np.minimum(counts, 0.0).sum(axis=0)
 
 
-def resting(C_gb: Vector, seconds: float) -> Vector:
-    """Integral of C_bg (3, 3) s over a rest in attitude ``C_gb``."""
-    return np.asarray(C_gb).T * seconds
+def resting(C_gb: Vector, seconds: float) -> tuple[Vector, Vector]:
+    """Integrals of C_bg and of u u^T, each (3, 3) s, over a rest in attitude ``C_gb``."""
+    up = np.asarray(C_gb)[2]
+    return np.asarray(C_gb).T * seconds, np.outer(up, up) * seconds
 
 
-def turning(C_gb: Vector, turned: Vector, angle: Vector, dt: Vector) -> Vector:
-    """Integral of C_bg (3, 3) s while the table turns by ``turned`` (3,) rad out of attitude ``C_gb``.
+def turning(C_gb: Vector, turned: Vector, angle: Vector, dt: Vector) -> tuple[Vector, Vector]:
+    """Both integrals while the table turns by ``turned`` (3,) rad out of attitude ``C_gb``.
 
     ``angle`` (k + 1,) is how far it has come at the ends of k samples, in any unit and with any error of
     scale: the last value is the whole angle. ``dt`` (k,) s is how long they are.
@@ -94,7 +97,11 @@ def turning(C_gb: Vector, turned: Vector, angle: Vector, dt: Vector) -> Vector:
     share = (angle - angle[0]) / (angle[-1] - angle[0])
     middle = 0.5 * (share[1:] + share[:-1])
     C = rotation.dcm_from_quat(rotation.quat_from_rotvec(np.outer(middle, turned)))
-    return np.asarray(np.einsum("kji,k->ij", C, dt) @ np.asarray(C_gb).T)
+    up = np.asarray(C_gb)[2] @ C
+    return (
+        np.asarray(np.einsum("kji,k->ij", C, dt) @ np.asarray(C_gb).T),
+        np.asarray(np.einsum("ki,kj,k->ij", up, up, dt)),
+    )
 
 
 def covariance(

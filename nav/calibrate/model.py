@@ -3,13 +3,19 @@
 It is the model of `nav.imu.pulses`, for sensors on any axes: over an interval in which the table showed the
 angle W (3,) rad and the velocity F (3,) m/s in b,
 
-    gyros            scale_plus * plus - scale_minus * minus = a . W + bias * T + g . F
-    accelerometers   scale_plus * plus - scale_minus * minus = a . F + bias * T
+    gyros            scale_plus * plus - scale_minus * minus = a . W + bias * T + g . F + q . P
+    accelerometers   scale_plus * plus - scale_minus * minus = a . F + bias * T + q . P
 
 "Inertial navigation", eqs. (2-27), (2-28). With scale_plus = k (1 + kappa - xi / 2), scale_minus =
 k (1 + kappa + xi / 2), k the scale before, and a = a0 + B m, a0 the unit vector that the axis is about and B
-(3, 2) the directions across it, every equation is linear in a sensor's coefficients kappa, xi, m, bias
-and g. Where a0 is an axis of b, m are the textbook's misalignments and the part of a along a0 is 1.
+(3, 2) the directions across it, every equation is linear in a sensor's coefficients kappa, xi, m, bias,
+g and q. Where a0 is an axis of b, m are the textbook's misalignments and the part of a along a0 is 1.
+
+P are integrals of products of two components of specific force, where second-order terms are asked for: of
+gyros (2-13) those along two axes of b, of accelerometers the square of the one along a0 and its products with
+those across it, (2-25) and IEEE Std 1293. The square of each component would be too much: over all attitudes
+their sum is that of gravity, which is a bias. The table's own errors in P are left out: they are of the order
+of tilt times q.
 
 Tilt and north error of the table turn east-north-up by a small vector delta, gravity differs by a
 share gamma: C_bg f_g becomes C_bg (I - [delta x]) f_g (1 + gamma), and the Earth's rate likewise. They
@@ -42,6 +48,7 @@ class Terms:
 
     asymmetry: bool = True
     g_sensitivity: bool = True
+    second_order: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +56,8 @@ class Sensor:
     """One sensor before its calibration: its name, what it is, its nominal axis a0 and scale.
 
     ``axis`` (3,) is a unit vector in b; ``across`` (3, 2) two more that make it a triad, named ``toward``.
-    ``scale`` is rad or m/s per pulse; ``terms`` names its coefficients in order.
+    ``scale`` is rad or m/s per pulse; ``terms`` names its coefficients in order. The last of them multiply
+    f . form @ f, a symmetric matrix in ``forms`` (k, 3, 3) each.
     """
 
     name: str
@@ -59,6 +67,7 @@ class Sensor:
     toward: tuple[str, str]
     scale: float
     terms: tuple[str, ...]
+    forms: Vector
 
     def angle_of(self, count: int) -> str:
         """Name of one of the two angles of its axis."""
@@ -95,7 +104,29 @@ def sensor(name: str, gyro: bool, axis: Vector, scale: float, terms: Terms) -> S
     named.append("bias")
     if gyro and terms.g_sensitivity:
         named += [f"g sensitivity {letter}" for letter in LETTERS]
-    return Sensor(name, gyro, unit, across, toward, scale, tuple(named))
+    forms: dict[str, Vector] = {}
+    if terms.second_order and gyro:
+        b = np.eye(3)
+        forms = {f"product {LETTERS[j]}{LETTERS[k]}": _form(b[j], b[k]) for j, k in ((1, 2), (2, 0), (0, 1))}
+    elif terms.second_order:
+        forms = {"square": _form(unit, unit)}
+        forms |= {f"product toward {where}": _form(unit, across[:, k]) for k, where in enumerate(toward)}
+    named += forms
+    return Sensor(
+        name,
+        gyro,
+        unit,
+        across,
+        toward,
+        scale,
+        tuple(named),
+        np.array(list(forms.values())).reshape(-1, 3, 3),
+    )
+
+
+def _form(a: Vector, b: Vector) -> Vector:
+    """The symmetric matrix (3, 3) with f . form @ f = (a . f) (b . f)."""
+    return 0.5 * (np.outer(a, b) + np.outer(b, a))
 
 
 def _direction(v: Vector) -> str:
@@ -181,9 +212,10 @@ class Model:
             columns += list(-one.across.T @ seen)
             columns.append(-interval.seconds)
             nuisance = -a @ slopes
-            if len(columns) < len(own):
+            if "g sensitivity x" in one.terms:
+                nuisance = nuisance - own[len(columns) : len(columns) + 3] @ dF
                 columns += list(-F)
-                nuisance = nuisance - own[-3:] @ dF
+            columns += list(np.einsum("kij,ij->k", one.forms, -(self.place.gravity**2) * interval.squares))
             residual[k] = columns[0] - one.axis @ seen + np.array(columns) @ own
             jacobian[k, part] = columns
             jacobian[k, -4:] = nuisance

@@ -99,14 +99,12 @@ def planned(steps: Sequence[Step]) -> list[Interval]:
     begin = 0.0
     for step in steps:
         if isinstance(step, Position):
-            turned, attitude = np.zeros(3), resting(step.C_gb, step.seconds)
+            turned, shown = np.zeros(3), resting(step.C_gb, step.seconds)
         else:
             count = _PER_TURN * step.turns
             turned, even = step.turned, np.full(count, step.seconds / count)
-            attitude = turning(step.C_gb, turned, np.arange(count + 1.0), even)
-        intervals.append(
-            Interval(step.name, isinstance(step, Rotation), begin, step.seconds, turned, attitude)
-        )
+            shown = turning(step.C_gb, turned, np.arange(count + 1.0), even)
+        intervals.append(Interval(step.name, isinstance(step, Rotation), begin, step.seconds, turned, *shown))
         begin += step.seconds
     return intervals
 

@@ -238,7 +238,7 @@ def _interval(step: Step, found: tuple[Rest, ...], ratio: float, nominal: Nomina
     plus, minus = sums(counts)
     turned = np.zeros(3)
     if isinstance(step, Position):
-        attitude = resting(step.C_gb, float(dt.sum()))
+        shown = resting(step.C_gb, float(dt.sum()))
     else:
         turned = step.turned
         # the rest before it says what of the rate is bias
@@ -246,14 +246,14 @@ def _interval(step: Step, found: tuple[Rest, ...], ratio: float, nominal: Nomina
         still = slice(max(found[0].first, inside.start - 5 * settle), found[0].last - round(BLOCK_S * settle))
         rate = nominal.motion(stream.counts[still], stream.dt[still])[0].sum(axis=0) / stream.dt[still].sum()
         angle = (nominal.motion(counts, dt)[0] - rate * dt[:, None]) @ step.axis
-        attitude = turning(step.C_gb, turned, np.concatenate((np.zeros(1), np.cumsum(angle))), dt)
+        shown = turning(step.C_gb, turned, np.concatenate((np.zeros(1), np.cumsum(angle))), dt)
     return Interval(
         step.name,
         isinstance(step, Rotation),
         stream.begin + float(stream.dt[: inside.start].sum()),
         float(dt.sum()),
         turned,
-        attitude,
+        *shown,
         plus,
         minus,
     )

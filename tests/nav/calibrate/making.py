@@ -53,7 +53,10 @@ def model(axes: np.ndarray, where: Place | None = None, terms: Terms | None = No
 
 @dataclass
 class Unit:
-    """Sensors as they are: axes (n, 3) with all gyros first, pulses up and down, bias, g sensitivity."""
+    """Sensors as they are: axes (n, 3) with all gyros first, pulses up and down, bias, g sensitivity.
+
+    ``second`` (n, 3, 3): f . second @ f is added to what a sensor puts out; symmetric.
+    """
 
     gyros: int
     axes: np.ndarray
@@ -61,6 +64,7 @@ class Unit:
     minus: np.ndarray
     bias: np.ndarray
     g: np.ndarray
+    second: np.ndarray
 
     @classmethod
     def draw(cls, axes: np.ndarray, rng: np.random.Generator, asymmetry: float = 100e-6) -> Unit:
@@ -77,6 +81,7 @@ class Unit:
             pulse * (1.0 + 0.5 * uneven),
             np.repeat((1.0 * DEG / 3600.0, 2e-3 * G), n) * rng.standard_normal(2 * n),
             g,
+            np.zeros((2 * n, 3, 3)),
         )
 
     def count(
@@ -100,6 +105,7 @@ class Unit:
             F = M @ C.T @ where.f_g * (1.0 + gravity)
             shown = np.vstack((np.tile(W, (self.gyros, 1)), np.tile(F, (len(self.axes) - self.gyros, 1))))
             out = np.sum(self.axes * shown, axis=1) + self.bias * interval.seconds + self.g @ F
+            out = out + self.second_order(interval, C, where.gravity * (1.0 + gravity))
             if rng is not None:
                 walk = np.where(np.arange(len(out)) < self.gyros, noise.gyro_walk, noise.accel_walk)
                 out = out + walk * np.sqrt(interval.seconds) * rng.standard_normal(len(out))
@@ -111,6 +117,18 @@ class Unit:
                 )
             )
         return found
+
+    def second_order(self, interval: Interval, C: np.ndarray, gravity: float) -> np.ndarray:
+        """Integral of f . second @ f; of a turn by the mean over its circle."""
+        if interval.rotation:
+            axis = interval.turned / np.linalg.norm(interval.turned)
+            up = interval.attitude[:, 2] / interval.seconds
+            aside = 0.5 * (1.0 - up @ up) * (np.eye(3) - np.outer(axis, axis))
+            mean = np.outer(up, up) + aside
+        else:
+            up = interval.attitude @ C.T[:, 2] / interval.seconds
+            mean = np.outer(up, up)
+        return gravity**2 * interval.seconds * np.einsum("nij,ij->n", self.second, mean)
 
     def truth(self, of: Model) -> np.ndarray:
         """The unknowns of a model, without the table's."""
@@ -126,4 +144,9 @@ class Unit:
             values.append(self.bias[k] / along)
             if "g sensitivity x" in one.terms:
                 values += (self.g[k] / along).tolist()
+            Q, u, (v, w) = self.second[k] / along, one.axis, one.across.T
+            if "product yz" in one.terms:
+                values += [2.0 * float(Q[i, j]) for i, j in ((1, 2), (2, 0), (0, 1))]
+            elif "square" in one.terms:
+                values += [float(u @ Q @ u), 2.0 * float(u @ Q @ v), 2.0 * float(u @ Q @ w)]
         return np.array(values)

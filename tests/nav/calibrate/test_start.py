@@ -106,13 +106,24 @@ def test_start_is_exact_without_asymmetry_noise_and_table_errors():
 
 def test_a_rest_and_a_turn_integrate_the_attitude():
     C = faces("SUW")
-    np.testing.assert_array_equal(resting(C, 3.0), 3.0 * C.T)
+    attitude, squares = resting(C, 3.0)
+    np.testing.assert_array_equal(attitude, 3.0 * C.T)
+    np.testing.assert_array_equal(squares, np.diag([0.0, 3.0, 0.0]))
     # two whole turns at constant rate: across the axis nothing is left, along it everything
     angle, dt = np.linspace(0.0, 1.0, 721), np.full(720, 0.05)
-    got = turning(C, 4.0 * np.pi * AXES[1], angle, dt)
-    np.testing.assert_allclose(got, 36.0 * np.outer(AXES[1], AXES[1]) @ C.T, atol=1e-12)
+    attitude, squares = turning(C, 4.0 * np.pi * AXES[1], angle, dt)
+    np.testing.assert_allclose(attitude, 36.0 * np.outer(AXES[1], AXES[1]) @ C.T, atol=1e-12)
+    np.testing.assert_allclose(squares, np.diag([0.0, 36.0, 0.0]), atol=1e-12)
+    # about a level axis up goes round: half its square to each side
+    squares = turning(C, 4.0 * np.pi * AXES[0], angle, dt)[1]
+    np.testing.assert_allclose(squares, np.diag([0.0, 18.0, 18.0]), atol=1e-12)
     # a quarter: closed form of the mean of cosine and sine; 720 steps of a midpoint rule are 2e-7 off
-    got = turning(np.eye(3), 0.5 * np.pi * AXES[2], angle, dt)
+    attitude, squares = turning(np.eye(3), 0.5 * np.pi * AXES[2], angle, dt)
     mean = 2.0 / np.pi * 36.0
-    np.testing.assert_allclose(got, [[mean, mean, 0.0], [-mean, mean, 0.0], [0.0, 0.0, 36.0]], atol=1e-4)
+    np.testing.assert_allclose(attitude, [[mean, mean, 0.0], [-mean, mean, 0.0], [0.0, 0.0, 36.0]], atol=1e-4)
+    np.testing.assert_allclose(squares, np.diag([0.0, 0.0, 36.0]), atol=1e-12)
+    # and of up in the plane, u = (0, cos a, -sin a): means of cos^2, sin^2 and sin cos over a quarter
+    squares = turning(faces("EUS"), 0.5 * np.pi * AXES[0], angle, dt)[1]
+    mixed = -36.0 / np.pi
+    np.testing.assert_allclose(squares, [[0.0, 0.0, 0.0], [0.0, 18.0, mixed], [0.0, mixed, 18.0]], atol=1e-4)
     assert 90.0 * DEG / ARCSEC == 324000.0
