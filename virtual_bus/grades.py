@@ -145,6 +145,28 @@ GRADES: Final = {
             accel_scale_ppm_per_deg_c=5.0,
             accel_bias_ug_per_deg_c=2.0,
         ),
+        # what is aligned from a better one: small ring lasers of 1 deg/h, silicon accelerometers of 1 mg
+        Grade(
+            name="tactical",
+            gyro_bias_deg_per_h=1.0,
+            gyro_instability_deg_per_h=0.2,
+            gyro_random_walk_deg_per_sqrt_h=0.1,
+            gyro_scale_ppm=150.0,
+            gyro_asymmetry_ppm=10.0,
+            gyro_misalignment_arcsec=20.0,
+            gyro_g_sensitivity_deg_per_h_per_g=0.0,
+            gyro_arcsec_per_pulse=0.3,
+            accel_bias_ug=1000.0,
+            accel_instability_ug=50.0,
+            accel_random_walk_ug_per_sqrt_hz=60.0,
+            accel_scale_ppm=300.0,
+            accel_asymmetry_ppm=20.0,
+            accel_misalignment_arcsec=20.0,
+            accel_m_s_per_pulse=2.5e-5,
+            correlation_s=1200.0,
+            clock_ppm=10.0,
+            factory=5.0,
+        ),
         # rate grade (Table 2-1: drift over 0.5 deg/h, scale under 1000 ppm), vibrating gyros, silicon
         # accelerometers (Table 2-5: bias 0.1 to 1 mg, and worse over temperature)
         Grade(

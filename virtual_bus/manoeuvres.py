@@ -1,8 +1,8 @@
-"""Manoeuvres of a vehicle, and the smooth profile of speed, heading and slope they add up to.
+"""Manoeuvres of a vehicle, and the smooth profile of speed, heading, slope, bank and yaw they add up to.
 
 Every manoeuvre is a sequence of *blends*: over a duration T each channel goes from one value to the
-next along the smoothstep of degree nine, whose first four derivatives vanish at both ends. Speed,
-heading and slope are therefore four times continuously differentiable, body rates and specific force
+next along the smoothstep of degree nine, whose first four derivatives vanish at both ends. The
+channels are therefore four times continuously differentiable, body rates and specific force
 at least once, whatever follows what.
 """
 
@@ -43,12 +43,18 @@ def _step_derivatives(x: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class Blend:
-    """One smooth change: of speed (m/s), heading and slope (rad) over ``duration`` seconds."""
+    """One smooth change: of speed (m/s), heading, slope, bank and yaw (rad) over ``duration`` seconds.
+
+    Heading and slope are the path's; ``bank`` rolls the vehicle, right side down, and ``yaw`` turns its nose
+    off the path, clockwise, and neither bends the path.
+    """
 
     duration: float
     speed: float = 0.0
     heading: float = 0.0
     slope: float = 0.0
+    bank: float = 0.0
+    yaw: float = 0.0
 
 
 class _Manoeuvre(msgspec.Struct, forbid_unknown_fields=True, tag_field="kind", kw_only=True):
@@ -116,6 +122,18 @@ class Turn(_Manoeuvre, tag="turn"):
         return [Blend(self._positive(), heading=math.radians(self.angle_deg))]
 
 
+def _weave(angle: float, count: int, duration: float) -> list[tuple[float, float]]:
+    """Durations and changes (rad) of ``count`` swings to ``angle``, to minus that, and back to nothing.
+
+    Raises ValueError for less than one swing.
+    """
+    if count < 1:
+        raise ValueError(f"count: found {count}, expected 1 or more")
+    quarter = duration / (4.0 * count)
+    swings = [-2.0 * angle if k % 2 == 0 else 2.0 * angle for k in range(2 * count - 1)]
+    return [(quarter, angle), *((2.0 * quarter, swing) for swing in swings), (quarter, angle)]
+
+
 class STurns(_Manoeuvre, tag="s_turns"):
     """Weave ``count`` times between heading + ``angle_deg`` and heading - ``angle_deg``, and straighten."""
 
@@ -124,16 +142,31 @@ class STurns(_Manoeuvre, tag="s_turns"):
 
     def blends(self, speed: float) -> list[Blend]:
         """See `_Manoeuvre.blends`."""
-        if self.count < 1:
-            raise ValueError(f"count: found {self.count}, expected 1 or more")
-        angle = math.radians(self.angle_deg)
-        quarter = self._positive() / (4.0 * self.count)
-        swings = [-2.0 * angle if k % 2 == 0 else 2.0 * angle for k in range(2 * self.count - 1)]
-        return [
-            Blend(quarter, heading=angle),
-            *(Blend(2.0 * quarter, heading=swing) for swing in swings),
-            Blend(quarter, heading=angle),
-        ]
+        swings = _weave(math.radians(self.angle_deg), self.count, self._positive())
+        return [Blend(duration, heading=angle) for duration, angle in swings]
+
+
+class Wiggle(_Manoeuvre, tag="wiggle"):
+    """Swing the nose ``count`` times by ``angle_deg`` to either side of a path that stays straight."""
+
+    angle_deg: float
+    count: int = 1
+
+    def blends(self, speed: float) -> list[Blend]:
+        """See `_Manoeuvre.blends`."""
+        swings = _weave(math.radians(self.angle_deg), self.count, self._positive())
+        return [Blend(duration, yaw=angle) for duration, angle in swings]
+
+
+class WingRock(_Manoeuvre, tag="wing_rock"):
+    """Roll to ``angle_deg``, right side down, and back at once; the path stays straight."""
+
+    angle_deg: float
+
+    def blends(self, speed: float) -> list[Blend]:
+        """See `_Manoeuvre.blends`."""
+        half, angle = 0.5 * self._positive(), math.radians(self.angle_deg)
+        return [Blend(half, bank=angle), Blend(half, bank=-angle)]
 
 
 class Climb(_Manoeuvre, tag="climb"):
@@ -159,16 +192,17 @@ class Descend(_Manoeuvre, tag="descend"):
         return Climb(duration_s=self.duration_s, slope_deg=-self.slope_deg).blends(speed)
 
 
-Manoeuvre = Static | Cruise | Accelerate | Brake | Turn | STurns | Climb | Descend
+Manoeuvre = Static | Cruise | Accelerate | Brake | Turn | STurns | Wiggle | WingRock | Climb | Descend
 
 
 class Profile:
-    """Speed (m/s), heading and slope (rad) over time, with derivatives, from a list of blends.
+    """Speed (m/s), heading, slope, bank and yaw (rad) over time, with derivatives, from a list of blends.
 
-    Times are nanoseconds since the start. Raises ValueError when there is nothing to drive.
+    It begins at ``speed`` m/s along ``heading``. Times are nanoseconds since the start. Raises ValueError
+    when there is nothing to drive.
     """
 
-    def __init__(self, blends: Sequence[Blend], heading: float = 0.0) -> None:
+    def __init__(self, blends: Sequence[Blend], heading: float = 0.0, speed: float = 0.0) -> None:
         if not blends:
             raise ValueError("a trajectory needs at least one manoeuvre")
         self.duration = np.array([b.duration for b in blends])
@@ -176,9 +210,10 @@ class Profile:
         self.start_ns = np.concatenate((np.zeros(1, np.int64), ends[:-1]))
         self.end_ns = int(ends[-1])
         self.duration = (ends - self.start_ns) * 1e-9
-        self._delta = np.array([[b.speed, b.heading, b.slope] for b in blends])
+        self._delta = np.array([[b.speed, b.heading, b.slope, b.bank, b.yaw] for b in blends])
         total = np.cumsum(self._delta, axis=0)
-        self._base = np.concatenate((np.zeros((1, 3)), total[:-1])) + np.array([0.0, heading, 0.0])
+        begin = np.array([speed, heading, 0.0, 0.0, 0.0])
+        self._base = np.concatenate((np.zeros((1, 5)), total[:-1])) + begin
         # sums of radians leave rounding behind; a stop must be exactly a stop
         self._base[np.abs(self._base) < 1e-12] = 0.0
         length = np.abs((self._base[:, 0] + 0.5 * self._delta[:, 0]) * self.duration)
@@ -195,7 +230,7 @@ class Profile:
     def channels(
         self, t_ns: NDArray[np.int64], since: Array | float = 0.0
     ) -> tuple[Array, Array, Array, Array]:
-        """Value and first three derivatives, each (n, 3): speed, heading, slope at ``t_ns`` (n,).
+        """Value and first three derivatives, each (n, 5): speed, heading, slope, bank, yaw at ``t_ns`` (n,).
 
         ``since`` (n,) seconds is added to the times, within the blend that holds ``t_ns``.
         """
@@ -205,6 +240,10 @@ class Profile:
             (d / length**order)[:, None] * delta for order, d in enumerate(_step_derivatives(x), start=1)
         )
         return self._base[index] + smooth(x)[:, None] * delta, d1, d2, d3
+
+    def turns(self) -> NDArray[np.bool_]:
+        """Which blends (k, 2) change the heading of the path, and which roll or yaw the vehicle about it."""
+        return np.stack((self._delta[:, 1] != 0.0, (self._delta[:, 3:] != 0.0).any(axis=1)), axis=1)
 
     def speed(self, t_ns: NDArray[np.int64]) -> Array:
         """Speed along the path (n,) m/s, negative in reverse."""

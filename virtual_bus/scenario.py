@@ -17,17 +17,21 @@ from typing import Annotated, Any, Final
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from virtual_bus.crab import Crab
 from virtual_bus.faults import AnyFault
+from virtual_bus.flexure import Flexed, Markov, Wandering
 from virtual_bus.grades import GRADES
 from virtual_bus.manoeuvres import Blend, Manoeuvre, Profile, Static
 from virtual_bus.sway import Sway
 from virtual_bus.tables import (
     BaroTable,
     DeviceTable,
+    FlexureTable,
     GnssTable,
     ImuTable,
+    MasterTable,
     NavigatorTable,
     OdometerTable,
     Positive,
@@ -39,7 +43,10 @@ from virtual_bus.tables import (
 )
 from virtual_bus.truth import Trajectory, Vehicle, mounting_matrix, roll_per_accel
 
+Array = NDArray[np.float64]
+
 PACKAGED: Final = Path(__file__).parent / "scenarios"
+_RESONANCE: Final = 0.05  # damping ratio of what vibrates
 
 
 class ScenarioError(ValueError):
@@ -59,6 +66,8 @@ class Scenario(Table):
     speed: SpeedTable | None = None
     baro: BaroTable | None = None
     gnss: GnssTable | None = None
+    master: MasterTable | None = None
+    flexure: FlexureTable | None = None
     sway: SwayTable | None = None
     navigator: NavigatorTable = msgspec.field(default_factory=NavigatorTable)
     fault: list[AnyFault] = msgspec.field(default_factory=list)
@@ -77,13 +86,15 @@ class Scenario(Table):
             "speed": self.speed,
             "baro": self.baro,
             "gnss": self.gnss,
+            "master": self.master,
         }
         return {name: table for name, table in tables.items() if table is not None}
 
     def profile(self, seconds: float) -> Profile:
         """What is driven in at least ``seconds``. Raises ValueError naming the manoeuvre at fault."""
         blends: list[Blend] = []
-        speed = total = 0.0
+        speed = begin = self.start.speed_m_s
+        total = 0.0
         tail = range(len(self.manoeuvre))[self.repeat_from :]
         places = list(range(len(self.manoeuvre)))
         while places:
@@ -98,7 +109,7 @@ class Scenario(Table):
                 speed = round(speed + sum(blend.speed for blend in part), 9)
                 total += manoeuvre.duration_s
             places = list(tail) if total < seconds else []
-        return Profile(blends, math.radians(self.start.heading_deg))
+        return Profile(blends, math.radians(self.start.heading_deg), begin)
 
     def rest_s(self) -> float:
         """How long it stands still at the start."""
@@ -113,22 +124,37 @@ class Scenario(Table):
         """True motion over at least ``seconds``; ``rng`` draws how well the IMU was mounted."""
         options = self.vehicle
         pitch_deg, roll_deg, heading_deg = options.mounting_deg
-        off = options.mounting_sigma_deg * rng.standard_normal(2)
+        off = options.mounting_sigma_deg * rng.standard_normal(2 if self.master is None else 3)
+        pitch_deg, heading_deg = pitch_deg + float(off[0]), heading_deg + float(off[1])
         vehicle = Vehicle(
             imu=np.array(options.imu_m),
-            C_vb=mounting_matrix(pitch_deg + float(off[0]), roll_deg, heading_deg + float(off[1])),
+            C_vb=mounting_matrix(pitch_deg, roll_deg + float(off[2:].sum()), heading_deg),
             roll_per_accel=roll_per_accel(options.roll_deg_per_g),
             pitch_per_accel=roll_per_accel(options.pitch_deg_per_g),
             crab=Crab(math.radians(options.crab_deg), rng) if options.crab_deg else None,
             sway=None if self.sway is None else self._sway(self.sway, rng),
+            banks=options.banks,
         )
-        return Trajectory(
-            self.profile(seconds),
-            vehicle,
-            math.radians(self.start.lat_deg),
-            math.radians(self.start.lon_deg),
-            self.start.height_m,
-        )
+        start = self.start
+        place = math.radians(start.lat_deg), math.radians(start.lon_deg), start.height_m
+        if self.flexure is None:
+            return Trajectory(self.profile(seconds), vehicle, *place)
+        arm = self.lever_arm() if self.flexure.arm_m is None else np.array(self.flexure.arm_m)
+        return Flexed(self.profile(seconds), vehicle, *place, self._flexure(self.flexure, rng), arm)
+
+    def lever_arm(self) -> Array:
+        """From the master, or from the rear axle where there is none, to the IMU (3,) m, vehicle axes."""
+        return np.array(self.vehicle.imu_m) - (0.0 if self.master is None else np.array(self.master.at_m))
+
+    @staticmethod
+    def _flexure(table: FlexureTable, rng: np.random.Generator) -> Wandering:
+        rate = 2.0 * math.pi * table.vibration_hz
+        axes = zip(table.sigma_mrad, table.correlation_s, table.vibration_mrad, strict=True)
+        processes = [
+            (Markov.correlated(1e-3 * bend, seconds), Markov(1e-3 * shake, rate, _RESONANCE))
+            for bend, seconds, shake in axes
+        ]
+        return Wandering(processes, rng)
 
     @staticmethod
     def _sway(table: SwayTable, rng: np.random.Generator) -> Sway:

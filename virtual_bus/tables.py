@@ -17,6 +17,7 @@ DitherHz = Annotated[float, Meta(ge=160.0, le=1000.0)]
 DegC = Annotated[float, Meta(ge=-60.0, le=140.0)]
 Three = tuple[float, float, float]
 Two = tuple[NotNegative, NotNegative]
+Sigmas = tuple[NotNegative, NotNegative, NotNegative]
 
 
 class Table(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
@@ -26,13 +27,15 @@ class Table(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 class Start(Table):
     """``[start]``: where and when; GPS time of the first instant.
 
-    ``heading_deg`` is true heading there (at a pole, along the meridian ``lon_deg``).
+    ``heading_deg`` is true heading there (at a pole, along the meridian ``lon_deg``), which it has
+    ``speed_m_s`` along already.
     """
 
     lat_deg: Annotated[float, Meta(ge=-90.0, le=90.0)]
     lon_deg: Annotated[float, Meta(ge=-180.0, le=180.0)]
     height_m: Annotated[float, Meta(ge=-1000.0, le=10_000.0)] = 0.0
     heading_deg: float = 0.0
+    speed_m_s: NotNegative = 0.0
     gps_week: Annotated[int, Meta(ge=0, le=4095)] = 2300
     gps_tow_s: Annotated[int, Meta(ge=0, lt=604_800)] = 216_000
     leap_seconds: Annotated[int, Meta(ge=0, le=255)] = 18
@@ -44,8 +47,9 @@ class VehicleOptions(Table):
     Its heading wanders ``crab_deg`` about its path (camber, side wind, steering).
 
     ``mounting_deg`` is pitch, roll, heading of the IMU in the vehicle as its maker wrote down; pitch and
-    heading really differ from it by ``mounting_sigma_deg``. ``output_m`` is the point that the solution is
-    for and truth is told at; by default the IMU.
+    heading really differ from it by ``mounting_sigma_deg``, and roll too where there is a master.
+    ``output_m`` is the point that the solution is for and truth is told at; by default the IMU. An aircraft
+    ``banks`` into its curves.
     """
 
     imu_m: Three = (0.3, 1.2, 0.5)
@@ -56,6 +60,7 @@ class VehicleOptions(Table):
     roll_deg_per_g: float = 3.0
     pitch_deg_per_g: float = 0.0
     crab_deg: NotNegative = 0.0
+    banks: bool = False
 
 
 class DeviceTable(Table):
@@ -133,6 +138,48 @@ class GnssTable(DeviceTable):
     velocity_m_s: Two = (0.03, 0.05)
     fix_type: Annotated[int, Meta(ge=2, le=6)] = 3
     satellites: Annotated[int, Meta(ge=4, le=60)] = 14
+
+
+class MasterTable(DeviceTable):
+    """``[master]``: a navigator of the class of 0.8 nmi/h at ``at_m`` of the vehicle, its axes the vehicle's.
+
+    The first seven are sigmas of its lasting errors at the start, those with ``noise`` of single messages.
+    On a ``platform`` it has no rates and forces to tell. What it says is ``age_ms`` older than it tells.
+    """
+
+    rate_hz: Annotated[float, Meta(ge=1.0, le=200.0)] = 50.0
+    latency_ms: NotNegative = 4.0
+    jitter_ms: NotNegative = 1.0
+    at_m: Three = (0.0, 0.0, 0.0)
+    platform: bool = False
+    age_ms: NotNegative = 0.0
+    tilt_mrad: NotNegative = 0.1
+    heading_mrad: NotNegative = 1.0
+    velocity_m_s: NotNegative = 0.5
+    position_m: NotNegative = 1000.0
+    height_m: NotNegative = 5.0
+    gyro_deg_per_h: NotNegative = 0.008
+    accel_ug: NotNegative = 30.0
+    position_noise_m: NotNegative = 0.5
+    velocity_noise_m_s: NotNegative = 0.02
+    attitude_noise_mrad: NotNegative = 0.1
+    rate_noise_deg_per_s: NotNegative = 0.03
+    force_noise_m_s2: NotNegative = 0.05
+
+
+class FlexureTable(Table):
+    """``[flexure]``: the IMU turns on its mounting, about right, forward and up of itself.
+
+    ``sigma_mrad`` of a second-order Markov process, which forgets within ``correlation_s``, and
+    ``vibration_mrad`` of a resonance at ``vibration_hz``. It turns about a point that is ``arm_m`` before it,
+    in vehicle axes: by default the master.
+    """
+
+    sigma_mrad: Sigmas = (0.3, 0.3, 0.3)
+    correlation_s: tuple[Positive, Positive, Positive] = (0.5, 0.5, 0.5)
+    vibration_mrad: Sigmas = (0.02, 0.02, 0.02)
+    vibration_hz: Annotated[float, Meta(ge=1.0, le=30.0)] = 12.0
+    arm_m: Three | None = None
 
 
 class SwayTable(Table):

@@ -37,6 +37,7 @@ Channels = tuple[Array, Array, Array, Array]
 PIECE_NS: Final = 1_000_000_000
 NODES: Final = 18  # degree 17 over a second: truncation of every manoeuvre used is below rounding
 CHUNK: Final = 64  # pieces solved at a time
+_ROLL_PIECES: Final = 8  # of a blend that rolls or yaws the vehicle, however short
 _PICARD: Final = 9  # each round gains a factor of distance / Earth radius per chunk
 
 _X = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)[::-1]
@@ -52,7 +53,8 @@ class Vehicle:
     """Where the instruments are, vehicle axes right-forward-up from the rear axle, m.
 
     ``C_vb`` (3, 3) takes IMU axes to vehicle axes. The body leans ``roll_per_accel`` rad per m/s^2
-    outward in a curve and lifts its nose ``pitch_per_accel`` rad per m/s^2 when it accelerates. Where a
+    outward in a curve and lifts its nose ``pitch_per_accel`` rad per m/s^2 when it accelerates. One that
+    ``banks`` rolls into a level curve until next to nothing pulls it to the side. Where a
     ``crab`` is given its heading is off the path's by that much: side wind, camber, steering. A ``sway``
     turns it about the reference point.
     """
@@ -63,6 +65,7 @@ class Vehicle:
     pitch_per_accel: float = 0.0
     crab: Crab | None = None
     sway: Sway | None = None
+    banks: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +126,10 @@ class Trajectory:
         # what sways twice as fast as its waves, as products of them do, is followed over half the time
         piece_ns = PIECE_NS if vehicle.sway is None else PIECE_NS // 2
         ends = [*profile.start_ns[1:].tolist(), profile.end_ns]
-        for t0, t1 in zip(profile.start_ns.tolist(), ends, strict=True):
-            count = -(-(t1 - t0) // piece_ns)
+        turns = profile.turns()
+        quick = turns[:, 1] | (turns[:, 0] & vehicle.banks)
+        for t0, t1, rolls in zip(profile.start_ns.tolist(), ends, quick.tolist(), strict=True):
+            count = max(-(-(t1 - t0) // piece_ns), _ROLL_PIECES if rolls else 1)
             starts.extend(t0 + (t1 - t0) * k // count for k in range(count))
         self._start_ns = np.array(starts, np.int64)
         self._half = 0.5e-9 * np.diff(np.append(self._start_ns, profile.end_ns))
@@ -231,8 +236,8 @@ class Trajectory:
     def _velocity(profile: Channels) -> tuple[Array, Array]:
         """Velocity of the axle (n, 3) in h, and the derivatives of its components."""
         c, c1, _c2, _c3 = profile
-        s, psi, gam = c.T
-        s1, psi1, gam1 = c1.T
+        s, psi, gam, _, _ = c.T
+        s1, psi1, gam1, _, _ = c1.T
         sp, cp, sg, cg = np.sin(psi), np.cos(psi), np.sin(gam), np.cos(gam)
         along = np.stack((cg * sp, cg * cp, sg), axis=-1)
         turn = np.stack((-sg * gam1 * sp + cg * cp * psi1, -sg * gam1 * cp - cg * sp * psi1, cg * gam1), -1)
@@ -240,18 +245,26 @@ class Trajectory:
 
     def _motion(self, t: Array, profile: Channels, rolled: Array, r_axle: Array, point: Array) -> Motion:
         """Kinematics of ``point`` from time (s), profile, distance rolled and the axle's place in e."""
-        (s, psi, gam), (s1, psi1, gam1), (s2, psi2, gam2), (s3, psi3, _) = (c.T for c in profile)
+        (s, psi, gam, bank, yaw), (s1, psi1, gam1, bank1, yaw1), *higher = (c.T for c in profile)
+        (s2, psi2, gam2, bank2, yaw2), (s3, psi3, _, _, _) = higher
         v_h, vdot_h = self._velocity(profile)
         lat, lon, height = ellipsoid.to_geodetic(r_axle)
         C_eh = ellipsoid.axes_eh(lat, lon, self.pole)
         w_eh_h, wdot_eh_h = ellipsoid.rate_eh(C_eh, self.pole, height, v_h, vdot_h)
         w_ie_h = OMEGA * C_eh[:, 2, :]
 
-        # attitude: heading, pitch (slope and squat), roll (lean), and two derivatives
+        # attitude: heading, pitch (slope and squat), roll (lean, bank), and two derivatives
         kp, kr = self.vehicle.pitch_per_accel, -self.vehicle.roll_per_accel
         pitch, pitch1, pitch2 = gam + kp * s1, gam1 + kp * s2, gam2 + kp * s3
-        roll, roll1 = kr * s * psi1, kr * (s1 * psi1 + s * psi2)
-        roll2 = kr * (s2 * psi1 + 2.0 * s1 * psi2 + s * psi3)
+        across, across1 = s * psi1, s1 * psi1 + s * psi2
+        across2 = s2 * psi1 + 2.0 * s1 * psi2 + s * psi3
+        roll, roll1, roll2 = kr * s * psi1 + bank, kr * across1 + bank1, kr * across2 + bank2
+        if self.vehicle.banks:
+            x, x1, x2 = across / G0, across1 / G0, across2 / G0
+            flat = 1.0 / (1.0 + x * x)
+            roll, roll1 = roll + np.arctan(x), roll1 + flat * x1
+            roll2 = roll2 + flat * (x2 - 2.0 * flat * x * x1 * x1)
+        psi, psi1, psi2 = psi + yaw, psi1 + yaw1, psi2 + yaw2
         if self.vehicle.crab is not None:
             crab, crab1, crab2 = self.vehicle.crab.angle(rolled, np.abs(s), np.sign(s) * s1)
             psi, psi1, psi2 = psi + crab, psi1 + crab1, psi2 + crab2

@@ -80,7 +80,7 @@ def test_a_capture_that_is_damaged_inside_is_not_said_to_differ(
     recorded: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = bytearray(recorded[0].read_bytes())
-    data[len(data) // 2] ^= 0x55
+    data[len(data) * 3 // 4] ^= 0x55  # behind the files that go with it
     path = tmp_path / "flipped.mcap"
     path.write_bytes(data)
     assert main(["replay", str(path)]) == 1
@@ -95,7 +95,7 @@ def test_a_capture_that_was_cut_off_early_does_not_claim_to_agree(
 ) -> None:
     data = recorded[0].read_bytes()
     path = tmp_path / "cut.mcap"
-    path.write_bytes(data[: len(data) // 2])
+    path.write_bytes(data[: len(data) * 3 // 4])
     assert main(["replay", str(path)]) == 0
     out = capsys.readouterr().out
     assert "cut off: " in out

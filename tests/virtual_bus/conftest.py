@@ -15,6 +15,8 @@ from virtual_bus.manoeuvres import (
     Static,
     STurns,
     Turn,
+    Wiggle,
+    WingRock,
 )
 from virtual_bus.sway import FASTEST_HZ, Sway
 from virtual_bus.truth import Trajectory, Vehicle, mounting_matrix, roll_per_accel
@@ -31,8 +33,10 @@ def trajectory_of(
     heading=HEADING,
     mounting=(2.0, -3.0, 10.0),
     sway=None,
+    speed=0.0,
+    banks=False,
 ):
-    blends, speed = [], 0.0
+    blends, begin = [], speed
     for manoeuvre in manoeuvres:
         part = manoeuvre.blends(speed)
         blends += part
@@ -43,8 +47,9 @@ def trajectory_of(
         roll_per_accel=roll_per_accel(lean[0]),
         pitch_per_accel=roll_per_accel(lean[1]),
         sway=sway,
+        banks=banks,
     )
-    return Trajectory(Profile(blends, heading=heading), vehicle, lat, lon, HEIGHT)
+    return Trajectory(Profile(blends, heading=heading, speed=begin), vehicle, lat, lon, HEIGHT)
 
 
 def sway(begins_s=None):
@@ -72,11 +77,32 @@ def ride():
     )
 
 
-@pytest.fixture(scope="session", params=["driven", "swaying", "swaying after rest", "swaying on the way"])
-def any_ride(request, ride):
-    """The ride, and bases that sway where they stand and as they go."""
-    if request.param == "driven":
-        return ride
+@pytest.fixture(scope="session")
+def flight():
+    """An aircraft that banks into its curves and rolls and yaws about its path, its IMU out on a wing."""
+    return trajectory_of(
+        [
+            Cruise(duration_s=2.0),
+            WingRock(duration_s=2.0, angle_deg=30.0),
+            Turn(duration_s=15.0, angle_deg=30.0),
+            Wiggle(duration_s=6.0, angle_deg=4.0, count=2),
+            STurns(duration_s=40.0, angle_deg=15.0),
+            Accelerate(duration_s=10.0, speed_m_s=180.0),
+        ],
+        imu=(4.0, -0.5, -0.6),
+        lean=(0.0, 0.0),
+        speed=200.0,
+        banks=True,
+    )
+
+
+@pytest.fixture(
+    scope="session", params=["driven", "flown", "swaying", "swaying after rest", "swaying on the way"]
+)
+def any_ride(request, ride, flight):
+    """The ride, the flight, and bases that sway where they stand and as they go."""
+    if request.param in ("driven", "flown"):
+        return ride if request.param == "driven" else flight
     if request.param == "swaying on the way":
         return trajectory_of(
             [Static(duration_s=4.0), Accelerate(duration_s=8.0, speed_m_s=12.0)], sway=sway()
