@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from nav.align import moving_north
 from nav.align import still as watch
 from nav.align.compass_course import (
     COMPASS,
@@ -43,13 +44,13 @@ from nav.align.compass_course import (
 from nav.align.compass_loop import head
 from nav.align.handover import hand_over
 from nav.align.moving_way import ADD, PUT, SMOOTH_NS, TAKE, carried, turn, velocities, way_at
-from nav.align.moving_weights import PITCH, POS, TILT, VEL, YAWED, Weights
+from nav.align.moving_weights import EPS, NAB, PITCH, POS, TILT, VEL, YAWED, Weights
 from nav.align.static import limits
 from nav.align.store import Piece, Store, Track
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
-from nav.earth import ecef, position_quat, xyz_to_geodetic
+from nav.earth import EARTH_RATE, ecef, position_quat, xyz_to_geodetic
 from nav.rotation import dcm_from_quat, quat_from_dcm, quat_rotate
-from nav.strapdown.kernels import X_C, X_H, X_HEAD, X_V
+from nav.strapdown.kernels import X_HEAD, X_V
 from nav.types import FixType, GnssFix, ImuSample, OdoSample, Sample, Vector
 
 BLIND: Final = "blind"
@@ -91,6 +92,7 @@ class Drive:
     weights: Weights | None = None
     force: Vector = field(default_factory=lambda: np.zeros(3))  # m/s, velocity increments of the first second
     at: Vector = field(default_factory=lambda: np.zeros(4))  # q_gb where the loops are
+    P_phi: Vector = field(default_factory=lambda: np.diag([0.05**2, 0.05**2, math.pi**2]))  # rad^2, there
     turned: Vector = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))  # b now to b there
     lag: float = 0.0  # s from there to now
     over: bool = False  # the last pass has come to the present, and nothing speaks against it
@@ -117,7 +119,7 @@ def _roll(drive: Drive, sample: OdoSample) -> str | None:
 def _init(config: AlignConfig, given: NavInit | None) -> Drive:
     compile_loops(config)
     if config.C_vb is not None:
-        Weights(config, np.zeros(X_HEAD), 0.0).go(np.empty((0, 6)), np.empty(0))
+        Weights(config, np.zeros(X_HEAD), 0.0, EARTH_RATE).go(np.empty((0, 6)), np.empty(0))
     return Drive(Course(config, plan(config), Store(config.store_s)))
 
 
@@ -208,7 +210,7 @@ def _work(drive: Drive) -> str | None:
         if not (used or over) or (drive.over and not used):
             break
     if moved:
-        drive.at = attitude(course)
+        drive.at, drive.P_phi = _said(drive)
         course.status = _status(drive)
     return None
 
@@ -249,7 +251,8 @@ def _conclude(drive: Drive) -> str | None:
         return _judge(drive)
     if course.plan[course.leg].kind == BLIND:
         assert drive.weights is not None
-        angle, sigma, felt = drive.weights.north(earth.north)
+        north = drive.weights.north()
+        sigma, felt = north.sigma, north.felt
         if sigma > KNOWN:
             known = (
                 f"known to {math.degrees(sigma):.0f} deg only" if sigma < 0.5 * math.pi else "not known yet"
@@ -260,7 +263,7 @@ def _conclude(drive: Drive) -> str | None:
                 f"levelled axes felt {felt / earth.north:.2f} of Earth's north rate: "
                 "calibration or latitude are wrong"
             )
-        turn_about_up(course, angle)
+        turn_about_up(course, north.angle)
         open_book(course, drive.weights.P[VEL, VEL], drive.weights.P[TILT, TILT], min(sigma, math.pi))
         drive.weights = None
     end_leg(course)
@@ -277,18 +280,21 @@ def _judge(drive: Drive) -> str | None:
     """Whether the last pass may be believed; one more where it had to put right what is not small."""
     course, weights = drive.course, drive.weights
     assert weights is not None
+    assert course.origin is not None
+    angle = weights.north().angle
     returns = sum(leg.kind == RETURN for leg in course.plan)
     doubtful = returns == 0 and weights.reason is not None
-    if returns < MOST and (abs(weights.turned) > SMALL or doubtful):
+    if returns < MOST and (abs(angle) > SMALL or doubtful):
         # slip led it astray, or much was to be put right: from what came out of it back, and once more
+        course.x = moving_north.turned(weights, course.origin).x
         course.plan = (*course.plan, Leg(RETURN, False, 0.0, ()), Leg(WEIGH, True, PRESENT, ()))
         course.leg += 1
         course.seconds = 0.0
         drive.over = False
         return None
     reason = weights.doubt()
-    if reason is None and abs(weights.turned) > ASTRAY:
-        reason = f"two passes over the same way differ by {math.degrees(weights.turned):.1f} deg of heading"
+    if reason is None and abs(angle) > ASTRAY:
+        reason = f"two passes over the same way differ by {math.degrees(angle):.1f} deg of heading"
     return reason
 
 
@@ -299,18 +305,20 @@ def _begin_weighing(drive: Drive) -> None:
     t_ns = np.array([first_ns(course), first_ns(course) + AHEAD_NS])
     way = way_at(path, t_ns)
     lat, lon, height = course.origin
+    assert course.earth is not None
     C = dcm_from_quat(attitude(course))
     v_g = C @ velocities(config, path, course.store.imu.ahead(0, 1))[0]
     if drive.fix is not None:
         # the antenna's place, and when it was there
         since = (first_ns(course) - drive.fix.t_ns) * 1e-9
+        lat, lon = drive.fix.lat, drive.fix.lon
         moved = v_g * since - C @ config.gnss_lever_arm
-        r_e = ecef(lat, lon, height) + quat_rotate(position_quat(lat, lon), moved)
+        r_e = ecef(lat, lon, drive.fix.height) + quat_rotate(position_quat(lat, lon), moved)
         lat, lon, height = xyz_to_geodetic(*r_e)
     course.origin = lat, lon, height
     course.x = head(quat_from_dcm(C), v_g, lat, lon, height)
-    # the loops have seen the same data: what they found counts for little
-    drive.weights = Weights(config, course.x, float(way[0]), heading=2.0 * course.found)
+    # what the loops found is where it begins and no more: they have seen the same data
+    drive.weights = Weights(config, course.x, float(way[0]), course.earth.north)
 
 
 def _weigh(drive: Drive, piece: Piece) -> int:
@@ -333,17 +341,24 @@ def _weigh(drive: Drive, piece: Piece) -> int:
     return used
 
 
-def _status(drive: Drive, reason: str | None = None) -> AlignStatus:
+def _said(drive: Drive) -> tuple[Vector, Vector]:
+    """q_gb (4,) at the sample at which it is, and the covariance (3, 3) of its phi, rad^2."""
     course, weights = drive.course, drive.weights
+    if weights is None or course.plan[min(course.leg, len(course.plan) - 1)].kind != WEIGH:
+        return attitude(course), phi_covariance(course)
+    assert course.origin is not None
+    found = moving_north.turned(weights, course.origin)
+    return found.q_gb, moving_north.phi_covariance(weights, found.C_gn)
+
+
+def _status(drive: Drive, reason: str | None = None) -> AlignStatus:
+    course = drive.course
     config = course.config
     lat, height = (course.origin[0], course.origin[2]) if course.origin is not None else (0.8, 0.0)
-    covariance = phi_covariance(course)
-    if weights is not None and course.leg == len(course.plan) - 1:
-        covariance = weights.P[TILT, TILT]
     leg = course.plan[min(course.leg, len(course.plan) - 1)]
     return AlignStatus(
         estimate=_present(drive) if course.found < math.pi else None,
-        covariance=covariance,
+        covariance=drive.P_phi,
         limit=limits(config, lat, height, config.coarse_s + config.fine_s),
         progress=progress(course),
         done=drive.over and course.at == course.store.imu.count and reason is None,
@@ -356,23 +371,23 @@ def _finish(drive: Drive) -> NavInit:
     """State at the last inertial sample, which the odometer has not confirmed yet."""
     course, weights, config = drive.course, drive.weights, drive.course.config
     assert weights is not None
+    assert course.origin is not None
     weights.close(None)
-    x, P = weights.x, weights.P[0:15, 0:15].copy()
+    found = moving_north.turned(weights, course.origin)
+    at, way_g = moving_north.place(weights, found, course.origin)
+    P = moving_north.covariance(weights, found, way_g)
     sigma_p = np.full(3, config.sigma_position)
     if drive.fix is not None:
         sigma_p = np.asarray(drive.fix.sigma_position, dtype=np.float64)
     P[POS, POS] += np.diag(sigma_p**2)
-    C_eg = x[X_C : X_C + 9].reshape(3, 3)
-    lat = math.asin(max(-1.0, min(1.0, C_eg[2, 2])))
-    lon = math.atan2(C_eg[1, 2], C_eg[0, 2])
-    r_e = ecef(lat, lon, float(x[X_H])) + C_eg @ weights.shift
-    mounting = np.sqrt(np.diag(weights.P)[[PITCH, YAWED]])
+    north = weights.north()
+    mounting = np.sqrt(np.diag(north.P)[[PITCH, YAWED]])
     return hand_over(
         course.store.imu.last_ns,
-        xyz_to_geodetic(*r_e),
-        x[X_V : X_V + 3].copy(),
-        attitude(course),
-        weights.bias,
+        at,
+        found.C_gn @ found.x[X_V : X_V + 3],
+        found.q_gb,
+        weights.bias + north.error[EPS.start : NAB.stop],
         P,
         config.C_vb,
         np.array([mounting[0], config.sigma_mounting, mounting[1]]),

@@ -11,15 +11,18 @@ instant, where as a velocity it would be one of every second. States, true minus
 and velocity (m/s) in n, phi (rad), gyro and accelerometer bias in b, odometer scale (1), mounting
 about right and up of the vehicle (rad), way (m), level part of Earth's rate in n (rad/s).
 
-The last of these are for a first pass while heading is not known: n then has some azimuth that nobody
-knows, and what it does not know of Earth's rate is two constants of n. That takes the place of eq. (2-45),
-which sees the rate only in the velocity at the end, beside every error of level that turns on the way made.
+Heading is none of them. n has some azimuth and keeps it, and what is not known of Earth's rate is two
+constants of n, in which everything is linear: a filter that turns n by what it finds holds its earlier rows
+against another north than they were made for, and so learns of heading what nobody measured (three times
+too sure of it after a minute). North is where the level part of Earth's rate points in the end, and how long
+that is, is known from the latitude (`Weights.north`). It takes the place of eq. (2-45) in a first pass, which
+sees the rate only in the velocity at the end, beside every error of level that turns on the way made.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -28,7 +31,7 @@ from nav.align.disturbance import spread
 from nav.align.rolled import road
 from nav.align.types import AlignConfig
 from nav.jit import kernel
-from nav.rotation import quat_from_rotvec, quat_multiply, quat_rotate, skew
+from nav.rotation import quat_from_rotvec, quat_multiply, skew
 from nav.strapdown.control import U_SIZE, U_WC
 from nav.strapdown.kernels import (
     M_C,
@@ -65,7 +68,9 @@ SLIPS: Final = 3  # in a row are too many
 LEAN: Final = 1.0  # sigma of every innovation that is taken for chance
 LEANING: Final = 20.0  # sigma in all beyond that: chance does not come to 6
 UNSURE: Final = 1e-7  # rad/s: Earth's rate about north where latitude is off by a tenth of a degree
-FIRST: Final = (0.3, math.radians(0.5), math.radians(3.0))  # m/s, level, heading: far wider than the loops
+FIRST: Final = (0.3, math.radians(0.5))  # m/s, level: far wider than the loops
+ANY: Final = 2.0  # of Earth's level rate: no azimuth is more likely than another
+TURNS: Final = 8
 
 # Sums over a block: C_nb dt, velocity of the odometer's point in v times dt, C_vn [v x] dt, f_n dt, w_in dt,
 # transport tensor dt, seconds.
@@ -117,6 +122,10 @@ def track(
         increments(d, m, inc)
         strapdown(x, inc, step, u, mid)
         vx, vy, vz = mid[M_V], mid[M_V + 1], mid[M_V + 2]
+        # of twice Earth's rate the kernel has had a control rate once
+        x[X_V] -= rate[1] * vz * step
+        x[X_V + 1] += rate[0] * vz * step
+        x[X_V + 2] -= (rate[0] * vy - rate[1] * vx) * step
         # velocity of the odometer's point in b: of the IMU, and what turning adds
         px = (inc[1] * arm[2] - inc[2] * arm[1]) / step
         py = (inc[2] * arm[0] - inc[0] * arm[2]) / step
@@ -144,17 +153,31 @@ def track(
         sums[_S_DT] += step
 
 
+class North(NamedTuple):
+    """Where north is in n, and what the length of Earth's rate, which is known, says of everything else.
+
+    ``angle`` rad by which n has to turn about up to be east and north, with its ``sigma``; ``by`` (2,) s is
+    how an error of the rate changes it. ``felt`` rad/s is the length as it was felt, ``unsure`` its sigma and
+    that of latitude. ``error`` (SIZE,) and ``P`` (SIZE, SIZE) are the filter's, with the length known.
+    """
+
+    angle: float
+    sigma: float
+    by: Vector
+    felt: float
+    unsure: float
+    error: Vector
+    P: Vector
+
+
 class Weights:
     """The filter and the state ``x`` of the kernel that it corrects.
 
-    ``x`` is the state at the start of the pass, ``way`` m what the odometer's path says there. ``blind``
-    rad/s is Earth's north rate where the azimuth of n is not known, else zero. ``heading`` rad: as
-    far at least as it may be off at first.
+    ``x`` is the state at the start of the pass, ``way`` m what the odometer's path says there. ``level_rate``
+    rad/s is the length of the level part of Earth's rate.
     """
 
-    def __init__(
-        self, config: AlignConfig, x: Vector, way: float, blind: float = 0.0, heading: float = 0.0
-    ) -> None:
+    def __init__(self, config: AlignConfig, x: Vector, way: float, level_rate: float) -> None:
         self.config = config
         self.x = x
         self.bias = np.zeros(6)
@@ -164,8 +187,9 @@ class Weights:
         self.way = 0.0  # since the start, by the inertial sensors
         self.start = way
         self.sums = np.zeros(S_SIZE)
-        self.rate = np.zeros(2)
-        self.turned = 0.0  # rad, by how much heading was corrected
+        self.rate = np.zeros(2)  # beside what the kernel has where n is east and north
+        self.level_rate = level_rate
+        self._north: North | None = None  # by what is known since the last block
         self.slips = 0  # innovations refused in a row
         self.lean = np.zeros(2)  # to either side
         self.blocks = 0
@@ -177,14 +201,8 @@ class Weights:
         self.C_vb = np.ascontiguousarray(C_vb)
         sigma = np.zeros(SIZE)
         sigma[VEL] = FIRST[0]
-        sigma[TILT] = FIRST[1], FIRST[1], max(FIRST[2], heading)
-        if blind:
-            # the azimuth of n is what it is
-            sigma[TILT.stop - 1] = 0.0
-            sigma[RATE] = 2.0 * blind
-        else:
-            # of latitude, which is not this wrong, but then it shows
-            sigma[RATE.stop - 1] = UNSURE
+        sigma[TILT] = FIRST[1], FIRST[1], 0.0  # the azimuth of n is what it is
+        sigma[RATE] = ANY * level_rate
         sigma[EPS], sigma[NAB] = config.gyro_bias, config.accel_bias
         sigma[SCALE] = config.odometer_scale
         sigma[PITCH] = sigma[YAWED] = config.sigma_mounting
@@ -208,6 +226,7 @@ class Weights:
         if tau == 0.0:
             return
         self.sums = np.zeros(S_SIZE)
+        self._north = None
         C = sums[_S_C : _S_C + 9].reshape(3, 3)
         J = self.C_vb @ C.T  # C_vn dt
         M = sums[_S_TURN : _S_TURN + 9].reshape(3, 3)
@@ -216,6 +235,7 @@ class Weights:
         F[VEL, VEL] = -skew(sums[_S_CORIOLIS : _S_CORIOLIS + 3])
         F[VEL, TILT] = -skew(sums[_S_F : _S_F + 3])
         F[VEL, NAB] = -C
+        F[VEL, RATE] = 2.0 * tau * skew(self.x[X_V : X_V + 3])[:, 0:2]
         kxx, kxy, kyy = sums[_S_K : _S_K + 3]
         # an error of velocity, true minus estimate, turns n by less than it should
         F[TILT.start : TILT.start + 2, VEL.start : VEL.start + 2] = [[kxy, kyy], [-kxx, -kxy]]
@@ -316,11 +336,9 @@ class Weights:
 
     def doubt(self) -> str | None:
         """What speaks against the result, or None: the way, the sensors, Earth's rate as it was felt."""
-        k = RATE.stop - 1
-        sigma = math.hypot(math.sqrt(self.P[k, k]), UNSURE)
-        felt = None
-        if abs(self.rate[1]) > DOUBT * sigma:
-            off = math.degrees(self.rate[1]) * 3600.0
+        north, felt = self.north(), None
+        if abs(north.felt - self.level_rate) > DOUBT * north.unsure:
+            off = math.degrees(north.felt - self.level_rate) * 3600.0
             felt = (
                 f"Earth's rate about north is felt {off:+.3f} deg/h off what it is at this latitude: "
                 "latitude, a gyro or calibration is wrong"
@@ -337,28 +355,34 @@ class Weights:
     def _feed(self, error: Vector) -> None:
         x = self.x
         self.shift += error[POS]
-        # velocity turns with the attitude, exactly: what wheels say of it in b must not depend on heading, or
-        # a few degrees that are put right at once make a velocity that is not there
-        phi, v = error[TILT], x[X_V : X_V + 3].copy()
-        turn = quat_from_rotvec(phi)
-        x[X_V : X_V + 3] = quat_rotate(turn, v + error[VEL] - np.cross(phi, v))
-        x[X_Q : X_Q + 4] = quat_multiply(turn, x[X_Q : X_Q + 4])
-        T = np.eye(SIZE)
-        T[VEL, TILT] = -skew(x[X_V : X_V + 3] - v)
-        self.P = T @ self.P @ T.T
+        x[X_V : X_V + 3] += error[VEL]
+        x[X_Q : X_Q + 4] = quat_multiply(quat_from_rotvec(error[TILT]), x[X_Q : X_Q + 4])
         self.bias += error[EPS.start : NAB.stop]
         self.scale += float(error[SCALE])
         self.mounting += error[[PITCH, YAWED]]
         self.way += float(error[WAY])
         self.rate += error[RATE]
-        self.turned += float(error[TILT][2])
 
-    def north(self, assumed: float) -> tuple[float, float, float]:
-        """Angle (rad) by which n has to turn about up to be east and north, its sigma, the rate felt (rad/s).
+    def north(self) -> North:
+        """North by the rate that was felt; its length is one more measurement, an iterated one.
 
-        After a blind pass, in which n was taken for that; ``assumed`` rad/s is Earth's north rate.
+        Its row depends on where north is, so it is taken for an answer, never into the filter.
         """
-        x, y = float(self.rate[0]), float(self.rate[1]) + assumed
-        felt = math.hypot(x, y)
-        across = np.array([y, -x]) / felt**2
-        return math.atan2(x, y), math.sqrt(float(across @ self.P[RATE, RATE] @ across)), felt
+        if self._north is None:
+            self._north = self._find_north()
+        return self._north
+
+    def _find_north(self) -> North:
+        r, P = self.rate + np.array([0.0, self.level_rate]), self.P
+        felt = float(np.hypot(*r))
+        to = r / felt
+        for _ in range(TURNS):
+            across = P[:, RATE] @ to
+            S = float(to @ across[RATE]) + UNSURE**2
+            error = across * ((self.level_rate - float(to @ r)) / S)
+            to = r + error[RATE]
+            to = to / np.hypot(*to)
+        P = P - np.outer(across, across) / S
+        by = np.array([to[1], -to[0]]) / self.level_rate
+        sigma = math.sqrt(float(by @ P[RATE, RATE] @ by))
+        return North(math.atan2(to[0], to[1]), sigma, by, felt, math.sqrt(S), error, P)

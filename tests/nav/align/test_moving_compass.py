@@ -9,8 +9,10 @@ import pytest
 
 from bridge.studies.alignment_truth import HEIGHT, LAT, LON, TICK, G, misalignment
 from nav.align import ALIGNMENTS, advance, begin, result
+from nav.align.compass_loop import head
+from nav.align.moving_weights import Weights
 from nav.earth import EARTH_RATE
-from nav.rotation import dcm_from_quat
+from nav.rotation import dcm_from_quat, quat_from_rotvec, quat_multiply
 from nav.types import FixType, GnssFix, ImuFlag, ImuSample, OdoSample
 from tests.nav.align import making
 from tests.nav.align.making import BAND_3
@@ -142,6 +144,45 @@ def test_ten_minutes_of_driving_reach_the_limit_of_a_static_alignment(road):
     # the mean of 8 chi-square values of 12 degrees of freedom: 99.8 % of them; below, since these wheels do
     # not slip and the IMU is mounted as configured
     assert 4.0 < np.mean(whole) < 17.9
+
+
+def weighed(azimuth, seconds=70.0, seed=2):
+    """The weighing pass from the true start, its axes turned by ``azimuth`` from east and north."""
+    _, _, samples = measured("winding", seed, seconds)
+    start = drive("winding")[0].state(0)
+    q = quat_multiply(quat_from_rotvec([0.0, 0.0, azimuth]), start.q_gb)
+    x = head(q, np.zeros(3), start.lat, start.lon, start.height)
+    weights = Weights(placed("winding"), x, 0.0, EARTH_RATE * math.cos(start.lat))
+    inertial = [s for s in samples if isinstance(s, ImuSample)]
+    way = np.cumsum([s.distance for s in samples if isinstance(s, OdoSample)])
+    for k in range(0, len(inertial), 10):
+        part = inertial[k : k + 10]
+        weights.go(np.array([np.hstack([s.dtheta, s.dv]) for s in part]), np.full(len(part), DT))
+        weights.close(float(way[k + len(part) - 1]))
+    return weights.north()
+
+
+@pytest.mark.parametrize("azimuth", [0.3, 2.0, math.pi])
+def test_north_and_its_sigma_are_the_same_from_any_azimuth(azimuth):
+    """A filter that turns its axes to what it finds learns heading from turning them: none of that."""
+    known, found = weighed(0.0), weighed(azimuth)
+    # of second order in the level, half a degree at first: a few per mille
+    assert found.sigma == pytest.approx(known.sigma, rel=0.01)
+    turned = math.remainder(found.angle - known.angle + azimuth, 2.0 * math.pi)
+    assert abs(turned) < 0.02 * known.sigma
+    assert abs(known.angle) < 3.3 * known.sigma
+
+
+def test_the_first_words_are_as_good_as_they_say():
+    nees = []
+    for seed in range(SEEDS):
+        init, _, refusals = align(
+            measured("winding", seed, 110.0)[2], dataclasses.replace(placed("winding"), fine_s=15.0)
+        )
+        assert not refusals
+        phi, _, _, _ = errors("winding", init)
+        nees.append(phi @ np.linalg.solve(init.P_phi, phi))
+    assert BAND_3[0] < np.mean(nees) < BAND_3[1]
 
 
 def test_turns_show_the_biases_of_the_accelerometers():
