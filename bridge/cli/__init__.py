@@ -37,6 +37,7 @@ COMMANDS: Final[dict[str, Command]] = {
     "align": Command("bridge.cli.align", "run alignments on a capture and compare what they find"),
     "calibrate": Command("bridge.cli.calibrate", "make a calibration file of turntable captures"),
     "arms": Command("bridge.cli.arms", "find where the accelerometers of a unit sit"),
+    "allan": Command("bridge.cli.allan", "measure a unit's noise in a capture at rest"),
     "plot": Command("bridge.cli.plot", "draw what is in a capture"),
     "check": Command("bridge.cli.check", "check a configuration without opening a bus"),
     "inspect": Command("bridge.cli.inspect", "say what is in a capture and what looks wrong"),

@@ -14,7 +14,7 @@ from mcap.writer import Writer
 from bridge.cli import COMMANDS, main
 from bridge.importers import IMPORTERS
 
-CAPTURES = ("replay", "inspect", "align", "arms", "plot", "decode")
+CAPTURES = ("replay", "inspect", "align", "allan", "arms", "plot", "decode")
 """Commands that read a capture."""
 CONFIGS = ("run", "check")
 """Commands that read a configuration."""
