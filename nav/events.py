@@ -64,7 +64,7 @@ class TransferProgress:
     """What a transfer alignment knows at ``t_ns``, relative to its master; rad.
 
     ``matching`` is the key of `nav.transfer.MATCHINGS`. ``sigma`` (3,) is that of phi about east, north, up;
-    ``mounting`` (3,), about right, forward, up of b, what the slave is turned beyond its configured C_ab, to
+    ``mounting`` (3,), about right, forward, up of a, what the slave is turned beyond its configured C_ab, to
     ``sigma_mounting`` (3,). ``observability``: of each estimated state, by name, what is left of its first
     sigma (1: nothing was learnt of it). ``hint``: the manoeuvre that would show what is least known
     against what is asked for, or nothing. ``quality``: 0 to 1, share of late messages that agreed.

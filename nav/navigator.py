@@ -1,9 +1,9 @@
 """The navigator: samples in, solutions and events out, in the order in which they arrive.
 
-A pure fold: no clock is read, nothing is drawn. Modes: STANDBY until `Navigator.start`, ALIGN until the
-alignment hands over, then NAVIGATE; CATCH_UP while stored samples are gone through, by an alignment or to
-work in late data, DEGRADED while an aid that the configuration counts on is missing, FAULT when the state
-is no longer a number or the azimuth law is about to fail.
+A pure fold: no clock is read, nothing is drawn. Modes: STANDBY until `Navigator.start`, ALIGN (TRANSFER with
+a master) until the alignment hands over, then NAVIGATE; CATCH_UP while stored samples are gone through, by
+an alignment or to work in late data, DEGRADED while an aid that the configuration counts on is missing,
+FAULT when the state is no longer a number or the azimuth law is about to fail.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from nav.align import ALIGNMENTS, NavInit
+from nav.align import NavInit
 from nav.aligning import UNSAID_NS, Aligning
 from nav.events import ModeChange, NavEvent, Notice, Refusal
 from nav.filter.aiding import Aiding
@@ -25,6 +25,7 @@ from nav.filter.report import solution_covariance
 from nav.filter.settings import ImuErrors, NavigatorConfig, parameters
 from nav.filter.standstill import Rest, Standstill
 from nav.strapdown.azimuth import NorthLawRefusal, refuse_latitude
+from nav.transfer import alignment
 from nav.types import (
     BaroSample,
     FixType,
@@ -84,7 +85,7 @@ class Navigator:
     def start(self, t_ns: int, method: str | None = None) -> list[NavEvent]:
         """Begin with alignment at ``t_ns``, whatever the mode was.
 
-        ``method`` is a name of `ALIGNMENTS`; None: the configured one.
+        ``method`` is a name that `nav.transfer.alignment` knows; None: the configured one.
         """
         self._align(t_ns, "start", self.config.alignment if method is None else method)
         return self._drain()
@@ -151,7 +152,7 @@ class Navigator:
     def _align(self, t_ns: int, reason: str, *names: str) -> None:
         self._aligning.begin(t_ns, *names)
         self._pending = []
-        self._change(t_ns, Mode.ALIGN, reason)
+        self._change(t_ns, self._aligning.mode, reason)
 
     def _align_on(self, sample: Sample) -> None:
         aligning, t = self._aligning, sample.t_ns
@@ -161,7 +162,7 @@ class Navigator:
         elif aligning.behind:
             self._change(t, Mode.CATCH_UP, f"{aligning.name} goes through stored samples")
         else:
-            self._change(t, Mode.ALIGN, "caught up")
+            self._change(t, aligning.mode, "caught up")
 
     def _navigate(self, init: NavInit, reason: str) -> None:
         self._aligning.stop()
@@ -239,7 +240,7 @@ class Navigator:
         if silent > self.config.gap_limit * 1e9:
             # it may stand or be on its way: whichever alignment can end takes over
             names = [self.config.alignment, "motion"]
-            if "heading" in ALIGNMENTS[names[0]].needs:
+            if "heading" in alignment(names[0]).needs:
                 # what was known of the heading beforehand may be so no more
                 del names[0]
             self._align(t, f"no inertial data for {silent * 1e-9:.1f} s", *names)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from nav.align.sensors import Sensors, against, sensors
 from nav.types import ImuSample, Sample, Vector
+
+if TYPE_CHECKING:
+    from nav.transfer.report import Report
 
 
 class AlignStatus(NamedTuple):
@@ -21,7 +24,8 @@ class AlignStatus(NamedTuple):
     the standard deviation that these sensors cannot beat in the time given. ``progress`` runs from
     0 to 1. ``done`` says that the stage has nothing to add; ``refusal`` says why it cannot go on, and that
     it started again. ``behind`` says that it is going through stored samples and what it says holds for
-    an earlier time than the last sample's; it is never ``done`` then.
+    an earlier time than the last sample's; it is never ``done`` then. ``transfer`` is what a transfer
+    alignment has to tell besides, ten times a second.
     """
 
     estimate: Vector | None
@@ -31,6 +35,7 @@ class AlignStatus(NamedTuple):
     done: bool
     refusal: str | None = None
     behind: bool = False
+    transfer: Report | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,13 +81,13 @@ class TransferConfig:
 
     ``lever_arm`` (3,) m from the master's point to the slave's IMU in the master's body axes a, good to
     ``sigma_lever_arm`` m an axis. ``C_ab`` (3, 3) takes the slave's b to a as built, good to
-    ``sigma_mounting`` (3,) rad about right, forward, up of b.
+    ``sigma_mounting`` (3,) rad about right, forward, up of a.
 
     Noise of one message, independent of the next: ``sigma_velocity`` m/s, ``sigma_attitude`` rad,
     ``sigma_position`` m, ``sigma_rate`` rad/s. ``latency`` s: sigma of the constant error of its dating;
     ``latest_s``: a message that holds for a time longer ago is of no use.
 
-    ``flexure`` (3,) rad about the axes of b, with correlation times ``flexure_time`` (3,) s: second-order
+    ``flexure`` (3,) rad about the axes of a, with correlation times ``flexure_time`` (3,) s: second-order
     Markov motion of the slave on its mounting, turning about the master's point. None: no states for it; what
     there is of it belongs into the noise of the attitude.
 
@@ -257,8 +262,8 @@ def advance(run: Run, sample: Sample) -> tuple[Run, AlignStatus]:
         # for nearly every sample: written out, which is faster than replacing by name
         if state is not run.state:
             run = Run(run.alignment, run.config, run.watched, run.stage, state, run.restarts)
-        estimate, covariance, limit, _, _, _, behind = status
-        return run, AlignStatus(estimate, covariance, limit, progress, False, None, behind)
+        estimate, covariance, limit, _, _, _, behind, transfer = status
+        return run, AlignStatus(estimate, covariance, limit, progress, False, None, behind, transfer)
     if run.stage + 1 == len(stages):
         return run._replace(state=state), status._replace(progress=1.0)
     given = stages[run.stage].finish(state)

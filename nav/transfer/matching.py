@@ -1,0 +1,182 @@
+"""Matchings: which states a filter estimates, and which rows of a message it takes for that.
+
+All states are in every covariance. Those that a matching does not estimate are *considered*: they are never
+corrected, but what their uncertainty makes of the others is told (Schmidt's filter), so that a filter of few
+states knows what it leaves out. What is not matched of position and velocity is *copied* from the
+master with each message, with the message's noise and what the arm and the delay make of it: the vertical
+channel would run away otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nav.transfer.model import Rows
+from nav.transfer.states import (
+    ACCEL_AXES,
+    ACCEL_BIAS,
+    DELAY,
+    FLEXURE,
+    FLEXURE_RATE,
+    GYRO_AXES,
+    GYRO_BIAS,
+    LEVER,
+    MOUNTING,
+    PHI,
+    SIZE,
+    VELOCITY,
+)
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+class Use(IntEnum):
+    """What is done with a row."""
+
+    NOT = 0
+    MATCH = 1
+    COPY = 2
+
+
+_NOT: Final = (Use.NOT,) * 3
+_MATCH: Final = (Use.MATCH,) * 3
+_COPY: Final = (Use.COPY,) * 3
+_LEVEL: Final = (Use.MATCH, Use.MATCH, Use.COPY)
+Uses = tuple[Use, Use, Use]
+
+GEOMETRY: Final[tuple[int, ...]] = (*range(FLEXURE.start, FLEXURE_RATE.stop), *range(SIZE)[LEVER], DELAY)
+"""Estimated by every matching that estimates anything, where it is not known exactly."""
+
+
+@dataclass(frozen=True, slots=True)
+class Matching:
+    """One way to align from a master.
+
+    ``estimated`` states besides `GEOMETRY`; what is done with the rows, east, north, up each. ``level`` and
+    ``heading`` name the manoeuvre that shows these angles best.
+    """
+
+    name: str
+    estimated: tuple[int, ...]
+    position: Uses
+    velocity: Uses
+    attitude: Uses = _NOT
+    rate: Uses = _NOT
+    level: str = ""
+    heading: str = ""
+
+    @property
+    def mask(self) -> Vector:
+        """1 for states that are corrected by matching, 0 for others (SIZE,)."""
+        mask = np.zeros(SIZE)
+        if self.estimated:
+            mask[list(self.estimated + GEOMETRY)] = 1.0
+        return mask
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Parts of `nav.types.MasterState`, beyond the first attitude, that it cannot do without."""
+        named = (("q_ga", self.attitude), ("w_ia_a", self.rate))
+        return frozenset(name for name, uses in named if any(uses))
+
+
+def _states(*parts: slice | int) -> tuple[int, ...]:
+    return tuple(k for part in parts for k in (range(SIZE)[part] if isinstance(part, slice) else (part,)))
+
+
+_SCALES: Final = (*range(SIZE)[GYRO_AXES][::4], *range(SIZE)[ACCEL_AXES][::4])
+_AZIMUTH: Final = MOUNTING.stop - 1
+_BIASES: Final = (GYRO_BIAS, ACCEL_BIAS)
+_ABOUT_UP: Final = (Use.NOT, Use.NOT, Use.MATCH)
+
+ONE_SHOT: Final = Matching("one_shot", (), _COPY, _COPY, _COPY)
+VELOCITY_5: Final = Matching(
+    "velocity", _states(slice(3, 5), PHI), _COPY, _LEVEL, level="coordinated turn", heading="S-turn"
+)
+POSITION_10: Final = Matching(
+    "position",
+    _states(slice(0, 2), slice(3, 5), PHI, GYRO_BIAS),
+    _LEVEL,
+    (Use.NOT, Use.NOT, Use.COPY),
+    level="coordinated turn",
+    heading="S-turn",
+)
+HEADING_19: Final = Matching(
+    "velocity_heading",
+    _states(VELOCITY, PHI, *_BIASES, *_SCALES, _AZIMUTH),
+    _COPY,
+    _MATCH,
+    _ABOUT_UP,
+    level="coordinated turn",
+    heading="S-turn",
+)
+HEADING_13: Final = Matching(
+    "velocity_heading_13",
+    _states(VELOCITY, PHI, *_BIASES, _AZIMUTH),
+    _COPY,
+    _MATCH,
+    _ABOUT_UP,
+    level="coordinated turn",
+    heading="S-turn",
+)
+HEADING_7: Final = Matching(
+    "velocity_heading_7",
+    _states(VELOCITY, PHI, _AZIMUTH),
+    _COPY,
+    _MATCH,
+    _ABOUT_UP,
+    level="coordinated turn",
+    heading="S-turn",
+)
+ATTITUDE_16: Final = Matching(
+    "velocity_attitude",
+    _states(VELOCITY, PHI, *_BIASES, MOUNTING),
+    _COPY,
+    _MATCH,
+    _MATCH,
+    level="coordinated turn",
+    heading="wing rock",
+)
+RATE: Final = Matching(
+    "velocity_rate",
+    _states(VELOCITY, PHI, *_BIASES, MOUNTING),
+    _COPY,
+    _MATCH,
+    rate=_MATCH,
+    level="heading wiggle",
+    heading="wing rock",
+)
+
+
+def gain(P: Matrix, rows: Rows, uses: Uses, own: slice, mask: Vector) -> tuple[Vector, Matrix, Matrix]:
+    """Gain K (SIZE, m) of the rows in use, their H (m, SIZE) and S (m, m).
+
+    ``own``: the states that the rows stand for, which are set where a row is copied. Matched rows
+    correct the states of ``mask`` by the gain that is best for them.
+    """
+    used = [j for j in range(3) if uses[j] is not Use.NOT]
+    H, R = rows.H[used], rows.R[np.ix_(used, used)]
+    W = P @ H.T
+    S = H @ W + R
+    K = np.zeros((SIZE, len(used)))
+    matched = [i for i, j in enumerate(used) if uses[j] is Use.MATCH]
+    if matched:
+        K[:, matched] = np.linalg.solve(S[np.ix_(matched, matched)], W[:, matched].T).T * mask[:, None]
+    for i, j in enumerate(used):
+        if uses[j] is Use.COPY:
+            # rows are the state itself, misalignment with the other sign
+            K[own.start + j, i] = H[i, own.start + j]
+    return K, H, S
+
+
+def updated(P: Matrix, K: Matrix, H: Matrix, S: Matrix) -> Matrix:
+    """Covariance (SIZE, SIZE) after a correction by any gain. Groves, 2nd ed., eq. (3.58) multiplied out."""
+    W = P @ H.T
+    U = (W - 0.5 * K @ S) @ K.T
+    return np.asarray(P - U - U.T)

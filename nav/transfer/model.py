@@ -1,0 +1,279 @@
+"""The error model of transfer alignment: how errors grow, and what messages of the master show of them.
+
+Readable NumPy throughout, as it runs at the master's rate. Navigation errors are those of `nav.errors.model`.
+The textbook chapter "Inertial navigation", section 2.5.3, compares Euler angles, eqs. (2-169) to (2-174);
+here the rotation vector between the two attitudes is compared, the same to first order (``T_b lambda - phi``)
+and regular everywhere. The slave sits at the end of an arm that turns with it, so that its own gyros tell
+the velocity that the arm makes: no rates of the master are needed, and flexure is in it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nav.align.types import AlignConfig, TransferConfig
+from nav.earth import EARTH_RATE, curvature, ecef, position_matrix
+from nav.errors.model import error_dynamics
+from nav.filter import states as house
+from nav.rotation import cross, dcm_from_quat, quat_from_dcm, quat_from_rotvec, rotvec_from_quat, skew
+from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
+from nav.strapdown.mechanize import frame_rates
+from nav.transfer.kernels import S_C, S_DT, S_FB, S_V, S_WB
+from nav.transfer.states import (
+    ACCEL_BIAS,
+    DELAY,
+    FLEXURE,
+    FLEXURE_RATE,
+    GYRO_AXES,
+    GYRO_BIAS,
+    LEVER,
+    MOUNTING,
+    MOVED,
+    PHI,
+    POSITION,
+    SIZE,
+    VELOCITY,
+    X_ERRORS,
+    X_REST,
+)
+from nav.types import MasterState
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+MARKOV: Final = 2.146
+"""Natural rate of a second-order Markov process times its correlation time (where 1/e is left of it)."""
+_KEPT: Final = np.array([k for k in range(house.FULL) if not 15 <= k < house.BASIC])
+_EYE: Final = np.eye(3)
+
+
+class Instant(NamedTuple):
+    """How the slave moves at a message's time: in b rate ``w_b`` and its change ``dw_b``, in n acceleration.
+
+    ``w_b`` (3,) rad/s with respect to inertial space, corrected; ``dw_b`` rad/s^2; ``a_n`` (3,) m/s^2 rate of
+    v_n. ``sigma_w`` rad/s is the noise of w_b.
+    """
+
+    w_b: Vector
+    dw_b: Vector
+    a_n: Vector
+    sigma_w: float
+
+
+def place(states: slice) -> slice:
+    """Where the nominal values of ``states`` (from `GYRO_BIAS` on) stand in the nominal state."""
+    return slice(X_ERRORS + states.start - MOVED, X_ERRORS + states.stop - MOVED)
+
+
+def initial_covariance(config: AlignConfig, transfer: TransferConfig) -> Matrix:
+    """P (SIZE, SIZE) before anything of the master was taken over: sensors, mounting, flexure, arm, delay."""
+    d = np.zeros(SIZE)
+    d[GYRO_BIAS], d[ACCEL_BIAS] = config.gyro_bias, config.accel_bias
+    diagonal = np.eye(3).ravel() > 0.0
+    d[GYRO_AXES] = np.where(diagonal, config.gyro_scale, config.gyro_axes)
+    d[GYRO_AXES.stop : MOUNTING.start] = np.where(diagonal, config.accel_scale, config.accel_axes)
+    d[MOUNTING] = transfer.sigma_mounting
+    if transfer.flexure is not None:
+        d[FLEXURE] = transfer.flexure
+        d[FLEXURE_RATE] = transfer.flexure * MARKOV / transfer.flexure_time
+    d[LEVER] = transfer.sigma_lever_arm
+    d[DELAY] = transfer.latency
+    return np.diag(d**2)
+
+
+def dynamics(x: Vector, sums: Vector) -> Matrix:
+    """F (MOVED, MOUNTING.start) over an interval: rates of position, velocity and phi per error.
+
+    ``x`` (X_SIZE,) the nominal state at its end, ``sums`` (S_SIZE,) of `nav.transfer.kernels.run` over it.
+    """
+    mean = sums / sums[S_DT]
+    pole, height = x[X_C + 6 : X_C + 9], float(x[X_H])
+    v = mean[S_V : S_V + 3]
+    frame = frame_rates(pole, height, v)
+    k = curvature(pole[0], pole[1], pole[2], height)
+    gradient = -2.0 * frame.gravity_n[2] * math.sqrt(k[0] * k[2] - k[1] ** 2)
+    F = error_dynamics(
+        mean[S_C : S_C + 9].reshape(3, 3),
+        mean[S_FB : S_FB + 3],
+        mean[S_WB : S_WB + 3],
+        v,
+        frame.w_ie_n,
+        frame.w_en_n,
+        k,
+        gradient,
+        x[X_REST : X_REST + 3],
+    )
+    return np.ascontiguousarray(F[:MOVED, _KEPT])
+
+
+def bend(transfer: TransferConfig, dt: float) -> tuple[Matrix, Matrix]:
+    """Transition and noise (6, 6) of flexure and its rate over ``dt`` seconds.
+
+    Exact for ``theta'' = -beta^2 theta - 2 beta theta' + w``, beta = `MARKOV` / correlation time.
+    """
+    A, Q = np.eye(6), np.zeros((6, 6))
+    if transfer.flexure is None:
+        return A, Q
+    beta = MARKOV / transfer.flexure_time
+    e = np.exp(-beta * dt)
+    i = np.arange(3)
+    A[i, i], A[i, i + 3] = e * (1.0 + beta * dt), e * dt
+    A[i + 3, i], A[i + 3, i + 3] = -e * beta**2 * dt, e * (1.0 - beta * dt)
+    steady = np.diag(np.concatenate([transfer.flexure, transfer.flexure * beta]) ** 2)
+    return A, steady - A @ steady @ A.T
+
+
+def predict(P: Matrix, F: Matrix, dt: float, config: AlignConfig, transfer: TransferConfig) -> Matrix:
+    """Covariance (SIZE, SIZE) after ``dt`` seconds with the ``F`` of `dynamics`.
+
+    Transition to second order; noise by the trapezoid, so that what turns within the interval moves as well.
+    """
+    n = MOUNTING.start
+    A = F * dt
+    A += 0.5 * A[:, :MOVED] @ A
+    A[:, :MOVED] += np.eye(MOVED)
+    q = np.zeros(MOVED)
+    q[VELOCITY], q[PHI] = config.velocity_random_walk**2, config.angle_random_walk**2
+    P = P.copy()
+    B, Q = bend(transfer, dt)
+    f = slice(FLEXURE.start, FLEXURE_RATE.stop)
+    P[f] = B @ P[f]
+    P[:, f] = P[:, f] @ B.T
+    P[f, f] += Q
+    rows = A @ P[:n]
+    P[:MOVED, MOVED:] = rows[:, MOVED:]
+    P[MOVED:, :MOVED] = rows[:, MOVED:].T
+    head = rows[:, :n] @ A.T
+    N = A[:, :MOVED]
+    head += 0.5 * dt * (np.diag(q) + (N * q) @ N.T)
+    P[:MOVED, :MOVED] = 0.5 * (head + head.T)
+    i = np.arange(3)
+    P[9 + i, 9 + i] += config.gyro_walk**2 * dt
+    P[12 + i, 12 + i] += config.accel_walk**2 * dt
+    return P
+
+
+def bent(x: Vector, transfer: TransferConfig, dt: float) -> None:
+    """Let the nominal flexure in ``x`` decay over ``dt`` seconds, in place."""
+    f = place(slice(FLEXURE.start, FLEXURE_RATE.stop))
+    x[f] = bend(transfer, dt)[0] @ x[f]
+
+
+def azimuth(x: Vector, lat: float, lon: float) -> Matrix:
+    """C_ng (3, 3): turn of n about the vertical from east-north-up at ``lat``, ``lon`` (rad)."""
+    M = x[X_C : X_C + 9].reshape(3, 3).T @ position_matrix(lat, lon)
+    angle = math.atan2(M[1, 0] - M[0, 1], M[0, 0] + M[1, 1])
+    s, c = math.sin(angle), math.cos(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+class Rows(NamedTuple):
+    """Rows in n (rates: in b): ``r`` (3,) computed minus measured, ``H`` (3, SIZE), ``R`` (3, 3)."""
+
+    r: Vector
+    H: Matrix
+    R: Matrix
+
+
+class Scene(NamedTuple):
+    """What the rows of a message share: matrices (3, 3), vectors (3,).
+
+    ``C`` C_nb, ``C_ng``, ``C_na`` by the master where it tells; ``C_ba`` by the mounting estimated and
+    ``C_fa``, the same, by flexure besides; the arm ``l_a`` m; ``w_eb`` rad/s the rate against the Earth in b.
+    """
+
+    x: Vector
+    now: Instant
+    master: MasterState
+    transfer: TransferConfig
+    C: Matrix
+    C_ng: Matrix
+    C_na: Matrix
+    C_ba: Matrix
+    C_fa: Matrix
+    l_a: Vector
+    w_eb: Vector
+
+
+def scene(x: Vector, now: Instant, master: MasterState, transfer: TransferConfig) -> Scene:
+    """By the nominal state ``x`` (X_SIZE,) at the message's time."""
+    C = dcm_from_quat(x[X_Q : X_Q + 4])
+    C_ba = transfer.C_ab.T @ dcm_from_quat(quat_from_rotvec(-x[place(MOUNTING)]))
+    C_fa = C_ba @ dcm_from_quat(quat_from_rotvec(-x[place(FLEXURE)]))
+    C_ng = azimuth(x, master.lat, master.lon)
+    C_na = C @ C_fa if master.q_ga is None else C_ng @ dcm_from_quat(master.q_ga)
+    l_a = transfer.lever_arm + x[place(LEVER)]
+    w_eb = now.w_b - C.T @ (EARTH_RATE * x[X_C + 6 : X_C + 9])
+    return Scene(x, now, master, transfer, C, C_ng, C_na, C_ba, C_fa, l_a, w_eb)
+
+
+def position_rows(s: Scene) -> Rows:
+    """The slave's position against the master's and the arm, m."""
+    x, m = s.x, s.master
+    C_en = x[X_C : X_C + 9].reshape(3, 3)
+    lat = math.asin(min(1.0, max(-1.0, C_en[2, 2])))
+    lon = math.atan2(C_en[1, 2], C_en[0, 2])
+    between = C_en.T @ (ecef(lat, lon, float(x[X_H])) - ecef(m.lat, m.lon, m.height))
+    C_na = s.C @ s.C_ba
+    arm = C_na @ s.l_a
+    H = np.zeros((3, SIZE))
+    H[:, POSITION] = _EYE
+    H[:, PHI] = -skew(arm)
+    H[:, LEVER] = -C_na
+    H[:, MOUNTING] = -C_na @ skew(s.l_a)
+    H[:, DELAY] = -x[X_V : X_V + 3]
+    return Rows(between - arm, H, _EYE * s.transfer.sigma_position**2)
+
+
+def velocity_rows(s: Scene) -> Rows:
+    """The slave's velocity against the master's and what the arm makes of rotation, m/s."""
+    x, C, l_b = s.x, s.C, s.C_ba @ s.l_a
+    swing = C @ cross(s.w_eb, l_b)
+    turn = C @ skew(s.w_eb)
+    lag = C @ skew(l_b)
+    H = np.zeros((3, SIZE))
+    H[:, VELOCITY] = _EYE
+    H[:, PHI] = -skew(swing)
+    H[:, GYRO_BIAS] = -lag
+    H[:, LEVER] = -turn @ s.C_ba
+    H[:, MOUNTING] = -turn @ s.C_ba @ skew(s.l_a)
+    # of the master's point: without what the arm adds
+    H[:, DELAY] = turn @ cross(s.w_eb, l_b) - lag @ s.now.dw_b - s.now.a_n
+    R = _EYE * s.transfer.sigma_velocity**2 + lag @ lag.T * s.now.sigma_w**2
+    return Rows(x[X_V : X_V + 3] - s.C_ng @ s.master.v_g - swing, H, R)
+
+
+def attitude_rows(s: Scene) -> Rows:
+    """The slave's attitude against the master's and the mounting: rotation vector, rad.
+
+    Textbook chapter "Inertial navigation", eqs. (2-161) to (2-167).
+    """
+    assert s.master.q_ga is not None
+    # from the master's idea of b to the slave's, in b
+    D = s.C_fa @ s.C_na.T @ s.C
+    H = np.zeros((3, SIZE))
+    H[:, PHI] = -_EYE
+    H[:, MOUNTING] = -s.C_na
+    H[:, FLEXURE] = -s.C_na
+    H[:, DELAY] = -(s.C @ s.w_eb)
+    return Rows(s.C @ rotvec_from_quat(quat_from_dcm(D)), H, _EYE * s.transfer.sigma_attitude**2)
+
+
+def rate_rows(s: Scene) -> Rows:
+    """The slave's rate against the master's, rad/s in b."""
+    assert s.master.w_ia_a is not None
+    w, w_a = s.now.w_b, s.master.w_ia_a
+    turn = s.C_ba @ skew(w_a)
+    H = np.zeros((3, SIZE))
+    H[:, GYRO_BIAS] = -_EYE
+    H[:, GYRO_AXES] = -np.kron(_EYE, w)
+    H[:, MOUNTING] = -turn
+    H[:, FLEXURE] = -turn
+    H[:, FLEXURE_RATE] = -s.C_ba
+    H[:, DELAY] = -s.now.dw_b
+    r = w - s.C_fa @ w_a - s.C_ba @ s.x[place(FLEXURE_RATE)]
+    return Rows(r, H, _EYE * (s.transfer.sigma_rate**2 + s.now.sigma_w**2))
