@@ -37,13 +37,14 @@ from bridge.outputs import (
     SolutionOut,
     Text,
     Transmit,
+    sensors_changed,
 )
 from bridge.silence import Silence
 from bridge.warm import warm_up
 from bridge.wire import message
 from nav import events
 from nav.navigator import Navigator
-from nav.types import GnssFix, Sample, Solution
+from nav.types import GnssFix, ImuChange, Sample, Solution
 
 SECOND_NS: Final = 1_000_000_000
 QUIET_NS: Final = 10 * SECOND_NS
@@ -181,6 +182,8 @@ class Engine:
                 for sample in samples:
                     if type(sample) is GnssFix:
                         out.append(FixOut(self._now, sample.device, sample))
+                    elif type(sample) is ImuChange:
+                        out += sensors_changed(self._now, sample)
                     for line in lines:
                         if said := line.navigator.step(sample):
                             self._take_all(line, said, out)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
-from nav.types import GnssFix, Mode, Solution
+from nav.types import GnssFix, ImuChange, Mode, Solution
 
 
 class Reject(IntEnum):
@@ -95,9 +95,54 @@ class Innovation(NamedTuple):
     accepted: bool
 
 
+class UnitHealth(NamedTuple):
+    """Which sensors of a redundant inertial unit are not trusted, since ``t_ns``.
+
+    Bits are sensors, the first the lowest: those not used (``out``), and those one of which has failed, as
+    far as is known (``suspect``).
+    """
+
+    t_ns: int
+    gyros_out: int
+    gyros_suspect: int
+    accels_out: int
+    accels_suspect: int
+
+    @property
+    def masks(self) -> tuple[int, int, int, int]:
+        """The four of them."""
+        return self[1:]
+
+    def words(self) -> list[str]:
+        """What there is to say: "gyro 4 out", "accelerometers 2 or 3 suspect"."""
+        said = []
+        for name, out, suspect in (("gyro", *self[1:3]), ("accelerometer", *self[3:5])):
+            if out:
+                said.append(f"{_listed(name, out, 'and')} out")
+            if suspect:
+                said.append(f"{_listed(name, suspect, 'or')} suspect")
+        return said
+
+
+def _listed(name: str, mask: int, word: str) -> str:
+    numbers = [str(k + 1) for k in range(mask.bit_length()) if mask >> k & 1]
+    if len(numbers) == 1:
+        return f"{name} {numbers[0]}"
+    return f"{name}s {', '.join(numbers[:-1])} {word} {numbers[-1]}"
+
+
+@dataclass(frozen=True, slots=True)
+class SensorsOut:
+    """A redundant unit is made of other sensors from now on, or others are suspected."""
+
+    t_ns: int
+    device: str
+    health: UnitHealth
+
+
 @dataclass(frozen=True, slots=True)
 class DeviceHealth:
-    """Counters of one device since the start."""
+    """Counters of one device since the start, and ``sensors`` of a redundant unit."""
 
     frames: int = 0
     samples: int = 0
@@ -107,6 +152,7 @@ class DeviceHealth:
     rejects: dict[Reject, int] = field(default_factory=dict)
     rate_hz: float = 0.0
     age_ms: float = 0.0
+    sensors: UnitHealth | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +189,15 @@ class Checkpoint:
     sha256: str
 
 
+def sensors_changed(now_ns: int, change: ImuChange) -> tuple[SensorsOut, Text]:
+    """What is put out when a redundant unit goes on with other sensors, for programs and for an operator."""
+    health = UnitHealth(change.t_ns, *change[2:6])
+    words = ", ".join(health.words())
+    severity = Severity.WARNING if words else Severity.NOTICE
+    text = Text(now_ns, severity, f"{change.device}: {words or 'all sensors in use'}")
+    return SensorsOut(now_ns, change.device, health), text
+
+
 class Transmit(NamedTuple):
     """A frame to send: CAN payload with its identifier, or a whole MAVLink packet."""
 
@@ -151,4 +206,15 @@ class Transmit(NamedTuple):
     data: bytes
 
 
-Output = SolutionOut | ModeChange | Progress | FixOut | Innovation | Health | Text | Checkpoint | Transmit
+Output = (
+    SolutionOut
+    | ModeChange
+    | Progress
+    | FixOut
+    | Innovation
+    | SensorsOut
+    | Health
+    | Text
+    | Checkpoint
+    | Transmit
+)

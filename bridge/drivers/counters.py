@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from bridge.outputs import DeviceHealth, Reject
+from bridge.outputs import DeviceHealth, Reject, UnitHealth
 
 _REASONS: Final = tuple(Reject)
 
@@ -24,6 +24,7 @@ class Counters:
         "notes",
         "rejects",
         "samples",
+        "sensors",
     )
 
     def __init__(self) -> None:
@@ -37,6 +38,8 @@ class Counters:
         """What an operator should read; the engine takes them away once a second."""
         self.last_ns: int | None = None
         """Engine time of the newest sample, None before the first."""
+        self.sensors: UnitHealth | None = None
+        """Of a redundant unit, from its first sample on."""
         self._then_ns: int | None = None
         self._samples_then = 0
         self._rate_hz = 0.0
@@ -61,4 +64,5 @@ class Counters:
             rejects={reason: count for reason, count in zip(_REASONS, self.rejects, strict=True) if count},
             rate_hz=self._rate_hz,
             age_ms=0.0 if self.last_ns is None else (now_ns - self.last_ns) / 1e6,
+            sensors=self.sensors,
         )

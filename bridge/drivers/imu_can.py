@@ -1,4 +1,4 @@
-"""Inertial units on CAN: pulse counts, in three classic frames or one CAN FD frame, to increments in SI."""
+"""Inertial units on CAN: pulse counts, in classic frames or one CAN FD frame, to increments in SI."""
 
 from __future__ import annotations
 
@@ -8,18 +8,21 @@ from typing import Annotated, ClassVar, Final
 import numpy as np
 from msgspec import Meta
 
-from bridge.calibration import read_calibration
+from bridge.calibration import CalibrationFile
+from bridge.calibration_sensors import read_unit
 from bridge.drivers.base import Context
 from bridge.drivers.can_frames import intact, repeated
 from bridge.drivers.counters import Counters
 from bridge.drivers.device_clock import ClockPort
 from bridge.drivers.imu_assembly import FRAME_BYTES, assemble, layout
 from bridge.drivers.imu_corrections import latches, size_effect
+from bridge.drivers.imu_parts import Parts
+from bridge.drivers.imu_redundant import MESSAGES, RedundantOptions, fusion_of
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
 from nav.imu.pulses import compensate
-from nav.types import ImuFlag, ImuSample, Vector
+from nav.types import ImuChange, ImuFlag, ImuSample, Vector
 
 _FAULT_OR_TEST: Final = 0b011  # bits of STATUS
 _PLAUSIBLE: Final = 5.0  # an interval beyond this many times the nominal one, either way, is not one
@@ -38,7 +41,8 @@ class ImuCanOptions(DeviceOptions, kw_only=True):
     ``latency_ms`` is from the end of a sample to the arrival of its first frame. ``bridge_samples`` is
     the longest gap that is filled from its neighbours; ``id_offset`` shifts every identifier, for
     several units on one bus. ``whole_cycle``, for gyros that dither and say when they were latched, is how
-    their counts are corrected: a name of `nav.imu.whole_cycle.METHODS`.
+    their counts are corrected: a name of `nav.imu.whole_cycle.METHODS`. ``redundant`` is for a unit whose
+    calibration file has more than three gyros and accelerometers: five classic frames a sample.
     """
 
     files: ClassVar[tuple[str, ...]] = ("calibration",)
@@ -48,6 +52,11 @@ class ImuCanOptions(DeviceOptions, kw_only=True):
     bridge_samples: Annotated[int, Meta(ge=0, le=100)] = 5
     id_offset: Annotated[int, Meta(ge=0, le=0x5FF)] = 0
     whole_cycle: str | None = None
+    redundant: RedundantOptions | None = None
+
+
+Made = Sequence[ImuSample | ImuChange]
+"""What comes of a frame."""
 
 
 class _Stream:
@@ -70,28 +79,33 @@ class ImuCan:
     """
 
     def __init__(self, options: ImuCanOptions, context: Context) -> None:
-        file = read_calibration(context.files[options.calibration], options.calibration)
+        file = read_unit(context.files[options.calibration], options.calibration)
+        three = file.calibration if isinstance(file, CalibrationFile) else None
         self._counters = Counters()
         self._name = context.name
-        self._table = file.calibration.table()
+        self._table = np.empty(0) if three is None else three.table()
+        self._fusion = fusion_of(
+            file, options.redundant, options.whole_cycle, options.rate_hz, context, self._counters
+        )
         self._serial = file.serial
         self._stranger: int | None = None  # what a unit said that the calibration is not for
         self._foreign = False
         self._period_ns = 1e9 / options.rate_hz
         self._bridge = options.bridge_samples
         self._latches = latches(options.whole_cycle, options.id_offset, context, self._counters)
-        self._size = size_effect(file.calibration)
+        self._size = None if three is None else size_effect(three)
 
-        self._gyro_codec, self._accel_codec = context.message("IMU_GYRO"), context.message("IMU_ACCEL")
+        names = ("IMU_GYRO", "IMU_ACCEL") if self._fusion is None else MESSAGES
+        codecs = [context.message(name) for name in names]
+        self._parts = Parts(codecs, options.id_offset, self._counters)
         self._time_codec, self._status_codec = context.message("IMU_TIME"), context.message("IMU_STATUS")
         self._fd_codec = context.message("IMU_FD")
         offset = options.id_offset
-        self._gyro_key = self._gyro_codec.frame_id + offset
-        self._accel_key = self._accel_codec.frame_id + offset
+        self._gyro_key, self._accel_key = self._parts.keys[0], self._parts.keys[-1]
         self._time_key = self._time_codec.frame_id + offset
-        self._fd_key = self._fd_codec.frame_id + offset
+        self._fd_key = self._fd_codec.frame_id + offset if self._fusion is None else -1
         self._status_key = self._status_codec.frame_id + offset
-        keys = (self._gyro_key, self._accel_key, self._time_key, self._fd_key, self._status_key)
+        keys = (*self._parts.keys, self._time_key, self._fd_key, self._status_key)
         self._latch_key = -1 if self._latches is None else self._latches.key
         self.keys = [(context.source, key) for key in (*keys, self._latch_key) if key >= 0]
 
@@ -99,7 +113,7 @@ class ImuCan:
         self._fd = _Stream(16, context.port(2**48 * 1000, options.latency_ms))
 
         # the usual case: what is kept back, and what the kernel reads and writes
-        self._layout = layout((self._gyro_codec, self._accel_codec, self._time_codec))
+        self._layout = None if three is None else layout((*codecs, self._time_codec))
         self._kept = _SINGLY if self._layout is None else _NONE
         self._wire = bytearray(3 * FRAME_BYTES)
         self._wire_view = np.frombuffer(self._wire, dtype=np.uint8)
@@ -107,18 +121,14 @@ class ImuCan:
         self._last_us = 0
         self._kept_gyro = self._kept_accel = b""
 
-        # the sample being put together frame by frame; -1: nothing yet
-        self._gyro_alive = self._accel_alive = -1
-        self._gyro: tuple[float, ...] = ()
-        self._accel: tuple[float, ...] = ()
-        self._gyro_data = self._accel_data = self._time_data = self._fd_data = b""
-        self._done_alive = -1
+        self._time_data = self._fd_data = b""
         # the last sample given out
         self._last: ImuSample | None = None
         self._last_sample = 0
         self._gap = False
         # compiled here, before a bus is opened
-        compensate(self._table, self._counts, 1.0 / options.rate_hz, np.empty(3), np.empty(3))
+        if three is not None:
+            compensate(self._table, self._counts, 1.0 / options.rate_hz, np.empty(3), np.empty(3))
         if self._layout is not None:
             self._assemble(np.empty(3), np.empty(3))
 
@@ -128,7 +138,7 @@ class ImuCan:
         self._release()
         return self._counters
 
-    def feed(self, frame: RawFrame) -> Sequence[ImuSample]:
+    def feed(self, frame: RawFrame) -> Made:
         """The sample that ``frame`` completes, after those made up for a short gap before it."""
         _, rx_ns, _, key, data = frame
         self._counters.frames += 1
@@ -155,20 +165,20 @@ class ImuCan:
         self._release()
         samples = self._single(key, data, rx_ns)
         if self._layout is not None:
-            self._kept = _NONE if self._gyro_alive < 0 and self._accel_alive < 0 else _SINGLY
+            self._kept = _SINGLY if self._parts.waiting else _NONE
         return samples
 
-    def _whole(self, data: bytes, rx_ns: int) -> Sequence[ImuSample] | None:
+    def _whole(self, data: bytes, rx_ns: int) -> Made | None:
         """The sample of the frames kept back and ``data``; None where it is not a usual one."""
         gyro, accel = self._kept_gyro, self._kept_accel
         self._wire[:] = gyro + accel + data
         dtheta, dv = np.empty(3), np.empty(3)
         alive, saturated, status, sample, time_us, tau = self._assemble(dtheta, dv)
-        if alive < 0 or alive == self._done_alive:
+        if alive < 0 or alive == self._parts.done:
             return None
         self._kept = _NONE
-        self._done_alive = alive
-        self._gyro_data, self._accel_data, self._time_data = gyro, accel, data
+        self._parts.ended(alive, gyro, accel)
+        self._time_data = data
         flags = _SATURATED if saturated else 0
         head, made = (status, sample, time_us), (tau, dtheta, dv)
         return self._sample(self._classic, head, self._counts, flags, rx_ns, made)
@@ -186,64 +196,39 @@ class ImuCan:
             if kept == _BOTH:
                 self._single(self._accel_key, self._kept_accel, 0)
 
-    def _single(self, key: int, data: bytes, rx_ns: int) -> Sequence[ImuSample]:
+    def _single(self, key: int, data: bytes, rx_ns: int) -> Made:
         """One frame by itself."""
-        counters = self._counters
-        if key == self._gyro_key:
-            codec = self._gyro_codec
-            if not intact(codec, data, counters):
-                return ()
-            alive = codec.alive(data)
-            if alive == self._done_alive:
-                return repeated(data, self._gyro_data, counters)
-            if alive == self._gyro_alive:
-                repeated(data, self._gyro_data, counters)
-            elif self._gyro_alive >= 0:
-                counters.reject(Reject.INCOMPLETE)
-            self._gyro = codec.decode(data)
-            self._gyro_alive = alive
-            self._gyro_data = data
-            return ()
-        if key == self._accel_key:
-            codec = self._accel_codec
-            if not intact(codec, data, counters):
-                return ()
-            alive = codec.alive(data)
-            if alive == self._done_alive:
-                return repeated(data, self._accel_data, counters)
-            self._accel = codec.decode(data)
-            self._accel_alive = alive
-            self._accel_data = data
-            return ()
+        counters, parts = self._counters, self._parts
+        if key in parts:
+            return parts.take(key, data)
         if key == self._fd_key:
             return self._feed_fd(data, rx_ns)
         codec = self._time_codec
         if not intact(codec, data, counters):
             return ()
         alive = codec.alive(data)
-        if alive == self._done_alive:
+        if alive == parts.done:
             return repeated(data, self._time_data, counters)
-        whole = self._gyro_alive == alive == self._accel_alive
-        self._gyro_alive = self._accel_alive = -1
-        self._done_alive = alive
         self._time_data = data
-        if not whole:
+        values = parts.end(alive)
+        if values is None:
             return counters.reject(Reject.INCOMPLETE)
         status, sample, _, time_us = codec.decode(data)
-        gyro, accel = self._gyro, self._accel
-        flags = _SATURATED if any(gyro[:3]) or any(accel[:3]) else 0
-        counts = np.array((*gyro[3:], *accel[3:]), dtype=np.float64)
         head = (int(status), int(sample), int(time_us))
+        if self._fusion is not None:
+            return self._sample(self._classic, head, self._fusion.counts(values), 0, rx_ns)
+        flags = _SATURATED if any(any(part[:3]) for part in values) else 0
+        counts = np.array([count for part in values for count in part[3:]], dtype=np.float64)
         return self._sample(self._classic, head, counts, flags, rx_ns)
 
-    def _feed_fd(self, data: bytes, rx_ns: int) -> Sequence[ImuSample]:
+    def _feed_fd(self, data: bytes, rx_ns: int) -> Made:
         codec = self._fd_codec
         if not intact(codec, data, self._counters):
             return ()
         alive = codec.alive(data)
-        if alive == self._done_alive:
+        if alive == self._parts.done:
             return repeated(data, self._fd_data, self._counters)
-        self._done_alive = alive
+        self._parts.ended(alive)
         self._fd_data = data
         values = codec.decode(data)
         flags = _SATURATED if any(values[:6]) else 0
@@ -278,13 +263,13 @@ class ImuCan:
         flags: int,
         rx_ns: int,
         made: tuple[float, Vector, Vector] | None = None,
-    ) -> Sequence[ImuSample]:
+    ) -> Made:
         """The sample of ``counts`` (6,) with those made up before it; ``head`` is STATUS, SAMPLE, TIME.
 
         ``made`` is an interval with the increments over it, which are taken where it is the right one.
         """
         counters = self._counters
-        if self._foreign:
+        if self._foreign or (self._fusion is not None and self._fusion.strange):
             return counters.reject(Reject.FOREIGN)
         status, sample, time_us = head
         self._last_us = time_us
@@ -319,8 +304,6 @@ class ImuCan:
             self._gap = False
         if status & _FAULT_OR_TEST:
             flags |= _FAULT
-        if flags & _SATURATED:
-            counters.reject(Reject.SATURATED)
 
         dt = interval * 1e-9
         if steps > 1 or flags & _GAP:
@@ -331,25 +314,36 @@ class ImuCan:
         if made is None:
             made = (0.0, np.empty(3), np.empty(3))
         tau, dtheta, dv = made
-        if dt != tau:
+        out: list[ImuSample | ImuChange] = []
+        if self._fusion is not None:
+            more, change = self._fusion.fuse(counts, t_ns, dt, dtheta, dv)
+            flags |= more
+            counters.sensors = self._fusion.health
+            if change is not None:
+                out.append(change)
+            if not self._fusion.spans:
+                counters.reject(Reject.INVALID)
+                return out
+        elif dt != tau:
             compensate(self._table, counts, dt, dtheta, dv)
+        if flags & _SATURATED:
+            counters.reject(Reject.SATURATED)
         if self._size is not None:
             self._size.take_off(dtheta, dv, dt)
 
-        samples: list[ImuSample] = []
         if steps > 1 and last is not None:
             counters.missing += steps - 1
             if steps - 1 <= self._bridge and not flags & _GAP and t_ns - last.t_ns >= steps:
-                samples = self._between(last, t_ns, dt, dtheta, dv, steps)
+                out += self._between(last, t_ns, dt, dtheta, dv, steps)
             else:
                 flags |= _GAP
         new = ImuSample(t_ns, dt, dtheta, dv, self._name, flags)
-        samples.append(new)
+        out.append(new)
         self._last = new
         self._last_sample = sample
         counters.samples += 1
         counters.last_ns = t_ns
-        return samples
+        return out
 
     def _restart(self) -> None:
         """The counts of samples before this one are lost."""

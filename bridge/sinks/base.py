@@ -8,18 +8,7 @@ from typing import Any, NamedTuple, Protocol
 
 from bridge.mavlink.peer import MavlinkPeer
 from bridge.options import SinkOptions
-from bridge.outputs import (
-    Checkpoint,
-    FixOut,
-    Health,
-    Innovation,
-    ModeChange,
-    Output,
-    Progress,
-    SolutionOut,
-    Text,
-    Transmit,
-)
+from bridge.outputs import Output, SolutionOut, Transmit
 from dbc.codec import Contract, contract
 
 
@@ -64,7 +53,7 @@ def output_time_ns(output: Output) -> int | None:
     match output:
         case SolutionOut():
             return output.latest_rx_ns
-        case ModeChange() | Progress() | FixOut() | Innovation() | Health() | Text() | Checkpoint():
-            return output.t_ns
         case Transmit():
             return None
+        case _:
+            return output.t_ns
