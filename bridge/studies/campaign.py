@@ -26,12 +26,13 @@ STATIC_SCENARIO: Final = "static_rlg"
 
 
 def epochs(what: Scenario, seconds: float | None = None, count: int = EPOCHS) -> list[float]:
-    """``count`` instants (s), equally spaced from when the vehicle drives off to the end.
+    """``count`` instants (s), equally spaced from the end of the alignment or of the rest to the run's end.
 
     Raises:
         ConfigError: the run is too short for them.
     """
-    first, last = what.rest_s() + _START_S, (seconds or what.seconds()) - _END_S
+    aligned = what.rest_s() if what.navigator.alignment_s is None else what.navigator.alignment_s
+    first, last = aligned + _START_S, (seconds or what.seconds()) - _END_S
     least = first + count + _END_S
     if last + _END_S < least:
         raise ConfigError(f"--seconds: found {last + _END_S:g}, expected {least:g} or more for this scenario")

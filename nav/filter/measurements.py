@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from nav.earth import E2, EARTH_RATE, curvature, radii
 from nav.filter.kalman import GATES, correct, update_gain
-from nav.filter.motion import eb_rate, matrix, mean_velocity, vehicle_row, vehicle_velocity
+from nav.filter.motion import attitude_ago, eb_rate, matrix, mean_velocity, vehicle_row, vehicle_velocity
 from nav.filter.states import (
     ALL,
     FULL,
@@ -103,16 +103,14 @@ def gnss_position(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
     ex = (r_n + h) * C[2] - z[1]
     ey = (r_n + h) * C[5] - z[2]
     ez = ((1.0 - E2) * r_n + h) * C[8] - z[3]
-    lx, ly, lz = rotate(x[0], x[1], x[2], x[3], par[P_LG], par[P_LG + 1], par[P_LG + 2])
-    wx, wy, wz = eb_rate(x)
-    px, py, pz = par[P_LG], par[P_LG + 1], par[P_LG + 2]
-    ux, uy, uz = rotate(x[0], x[1], x[2], x[3], wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
     tau = z[0]
+    qw, qx, qy, qz = attitude_ago(x, tau)
+    lx, ly, lz = rotate(qw, qx, qy, qz, par[P_LG], par[P_LG + 1], par[P_LG + 2])
     back = 0.5 * tau * tau
     r = np.empty(3)
-    r[0] = C[0] * ex + C[3] * ey + C[6] * ez + lx - (x[X_V] + ux) * tau + x[X_A] * back
-    r[1] = C[1] * ex + C[4] * ey + C[7] * ez + ly - (x[X_V + 1] + uy) * tau + x[X_A + 1] * back
-    r[2] = C[2] * ex + C[5] * ey + C[8] * ez + lz - (x[X_V + 2] + uz) * tau + x[X_A + 2] * back
+    r[0] = C[0] * ex + C[3] * ey + C[6] * ez + lx - x[X_V] * tau + x[X_A] * back
+    r[1] = C[1] * ex + C[4] * ey + C[7] * ez + ly - x[X_V + 1] * tau + x[X_A + 1] * back
+    r[2] = C[2] * ex + C[5] * ey + C[8] * ez + lz - x[X_V + 2] * tau + x[X_A + 2] * back
     H = np.zeros((3, n))
     for i in range(3):
         H[i, i] = 1.0
@@ -141,9 +139,10 @@ def gnss_velocity(x: Vector, P: Matrix, par: Vector, z: Vector, gate: float, out
     mz = C[2] * z[1] + C[5] * z[2] + C[8] * z[3]
     kxx, kxy, kyy = curvature(C[6], C[7], C[8], x[X_H])
     px, py, pz = par[P_LG], par[P_LG + 1], par[P_LG + 2]
-    wx, wy, wz = eb_rate(x)
-    ux, uy, uz = rotate(x[0], x[1], x[2], x[3], wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
     tau = z[0]
+    wx, wy, wz = eb_rate(x, tau)
+    qw, qx, qy, qz = attitude_ago(x, tau)
+    ux, uy, uz = rotate(qw, qx, qy, qz, wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
     r = np.empty(3)
     r[0] = x[X_V] + ux - x[X_A] * tau - mx
     r[1] = x[X_V + 1] + uy - x[X_A + 1] * tau - my

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE, curvature
-from nav.filter.states import P_LO, X_A, X_F, X_PATH, X_PT, X_QV, X_TICK_COV, X_TICK_VAR, X_W
+from nav.filter.states import P_LO, X_A, X_F, X_PATH, X_PT, X_QV, X_TICK_COV, X_TICK_VAR, X_W, X_WD, X_WT
 from nav.jit import in_place, kernel
-from nav.rotation import rotate
+from nav.rotation import exponential, multiply, rotate
 from nav.strapdown.kernels import M_C, X_C, X_H, X_Q, X_V
 
 Vector = NDArray[np.float64]
@@ -68,8 +68,12 @@ def times(m: Vector, x: float, y: float, z: float) -> tuple[float, float, float]
 
 
 @in_place
-def eb_rate(x: Vector) -> tuple[float, float, float]:
-    """w_eb_b: rate of b with respect to the Earth, over the last update."""
+def eb_rate(x: Vector, tau: float) -> tuple[float, float, float]:
+    """w_eb_b: rate of b with respect to the Earth, ``tau`` seconds before the state's time.
+
+    The mean over an update is the rate in its middle. On a base that rolls at one hertz the rate at its end,
+    5 ms later, is another by so much that an antenna on a mast is off by 5 cm/s, always as it accelerates.
+    """
     ix, iy, iz = rotate(
         x[X_Q],
         -x[X_Q + 1],
@@ -79,19 +83,49 @@ def eb_rate(x: Vector) -> tuple[float, float, float]:
         EARTH_RATE * x[X_C + 7],
         EARTH_RATE * x[X_C + 8],
     )
-    return x[X_W] - ix, x[X_W + 1] - iy, x[X_W + 2] - iz
+    ahead = x[X_WT] - tau
+    return (
+        x[X_W] + ahead * x[X_WD] - ix,
+        x[X_W + 1] + ahead * x[X_WD + 1] - iy,
+        x[X_W + 2] + ahead * x[X_WD + 2] - iz,
+    )
+
+
+@in_place
+def take_rate(x: Vector, wx: float, wy: float, wz: float, dt: float, measured: bool) -> None:
+    """Take w_ib_b, the mean over an update of ``dt`` s, and how it changes where the last two say it."""
+    half = 0.5 * dt
+    per_s = 1.0 / (x[X_WT] + half) if measured and x[X_WT] > 0.0 else 0.0
+    x[X_WD] = per_s * (wx - x[X_W])
+    x[X_WD + 1] = per_s * (wy - x[X_W + 1])
+    x[X_WD + 2] = per_s * (wz - x[X_W + 2])
+    x[X_WT] = half if measured else 0.0
+    x[X_W], x[X_W + 1], x[X_W + 2] = wx, wy, wz
+
+
+@in_place
+def attitude_ago(x: Vector, tau: float) -> tuple[float, float, float, float]:
+    """q_nb ``tau`` seconds before the state's time.
+
+    What turns to and fro is not where its rate was a moment ago: the two out of step make a mean velocity of
+    an antenna that only swings.
+    """
+    wx, wy, wz = eb_rate(x, 0.5 * tau)
+    w, i, j, k = exponential(-wx * tau, -wy * tau, -wz * tau)
+    return multiply(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3], w, i, j, k)
 
 
 @kernel
 def vehicle_velocity(x: Vector, par: Vector, tau: float) -> Vector:
     """Velocity (3,) of the odometer point in v, ``tau`` seconds before the state's time."""
-    wx, wy, wz = eb_rate(x)
+    wx, wy, wz = eb_rate(x, tau)
     lx, ly, lz = par[P_LO], par[P_LO + 1], par[P_LO + 2]
+    w, i, j, k = attitude_ago(x, tau)
     bx, by, bz = rotate(
-        x[X_Q],
-        -x[X_Q + 1],
-        -x[X_Q + 2],
-        -x[X_Q + 3],
+        w,
+        -i,
+        -j,
+        -k,
         x[X_V] - x[X_A] * tau,
         x[X_V + 1] - x[X_A + 1] * tau,
         x[X_V + 2] - x[X_A + 2] * tau,

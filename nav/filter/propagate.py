@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE, gravity_north, normal_gravity
 from nav.filter.covariance import PREDICT_SIZE, feedback, predict
-from nav.filter.motion import carry_tick, lose_path, place_beside, times, undo_axes
+from nav.filter.motion import carry_tick, eb_rate, lose_path, place_beside, take_rate, times, undo_axes
 from nav.filter.states import (
     P_GAP_A,
     P_GAP_W,
@@ -173,7 +173,7 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
     vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
     increments(d, n, inc)
     strapdown(x, inc, dt, u, mid)
-    x[X_W], x[X_W + 1], x[X_W + 2] = sx / dt, sy / dt, sz / dt
+    take_rate(x, sx / dt, sy / dt, sz / dt, dt, row[ROW_GAP] == 0.0)
     x[X_F], x[X_F + 1], x[X_F + 2] = tx / dt, ty / dt, tz / dt
     x[X_A], x[X_A + 1], x[X_A + 2] = (x[X_V] - vx) / dt, (x[X_V + 1] - vy) / dt, (x[X_V + 2] - vz) / dt
 
@@ -263,8 +263,7 @@ def solution_row(x: Vector, P: Matrix, par: Vector, out: Vector) -> bool:
     ux, uy, uz = 0.0, 0.0, 0.0
     if px != 0.0 or py != 0.0 or pz != 0.0:
         ax, ay, az = rotate(qw, qx, qy, qz, px, py, pz)
-        ix, iy, iz = rotate(qw, -qx, -qy, -qz, EARTH_RATE * ex, EARTH_RATE * ey, EARTH_RATE * ez)
-        wx, wy, wz = x[X_W] - ix, x[X_W + 1] - iy, x[X_W + 2] - iz
+        wx, wy, wz = eb_rate(x, 0.0)
         ux, uy, uz = rotate(qw, qx, qy, qz, wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px)
         vx, vy, vz = vx + ux, vy + uy, vz + uz
         height += az

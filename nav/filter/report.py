@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Final
 
 import numpy as np
 
-from nav.earth import EARTH_RATE
 from nav.filter import states as st
-from nav.filter.motion import place_beside
+from nav.filter.motion import eb_rate, place_beside
 from nav.rotation import dcm_from_quat
-from nav.strapdown.kernels import X_C, X_Q
+from nav.strapdown.kernels import X_Q
 from nav.types import Vector
-
-_UP: Final = slice(6, 9)  # third row of C_en: the vertical, seen from n
 
 
 def solution_covariance(x: Vector, P: Vector, par: Vector) -> Vector:
@@ -27,14 +23,13 @@ def solution_covariance(x: Vector, P: Vector, par: Vector) -> Vector:
     """
     C_nb = dcm_from_quat(x[X_Q : X_Q + 4])
     C_vb = dcm_from_quat(x[st.X_QV : st.X_QV + 4])
-    up = x[X_C : X_C + 9][_UP]
     lever = par[st.P_LP : st.P_LP + 3]
     arm = C_nb @ lever
     pole_x, pole_y, *_ = place_beside(x, arm[0], arm[1])
     cos_lat = math.hypot(pole_x, pole_y)
     sin_a, cos_a = (pole_x / cos_lat, pole_y / cos_lat) if cos_lat > 1e-14 else (0.0, 1.0)
     C_gn = np.array([[cos_a, -sin_a, 0.0], [sin_a, cos_a, 0.0], [0.0, 0.0, 1.0]])
-    w_eb_b = x[st.X_W : st.X_W + 3] - C_nb.T @ (EARTH_RATE * up)
+    w_eb_b = np.array(eb_rate(x, 0.0))
     C_nv = C_nb @ C_vb.T
 
     T = np.zeros((9, len(P)))

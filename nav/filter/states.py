@@ -71,7 +71,9 @@ X_F0: Final = 69  # f_b when navigation began, 3
 X_TICK: Final = 72  # part of a tick since the odometer's last one, as the last epoch left it: mean, m
 X_TICK_VAR: Final = 73  # its variance, m^2
 X_TICK_COV: Final = 74  # and its covariance with the errors of the states, ALL
-X_SIZE: Final = X_TICK_COV + ALL
+X_WD: Final = X_TICK_COV + ALL  # rate of w_ib_b, rad/s^2, from the last two updates, 3
+X_WT: Final = X_WD + 3  # from the middle of the last update, where X_W holds, to its end, s; 0: not measured
+X_SIZE: Final = X_WT + 1
 
 # Places in the parameter vector that kernels take.
 P_LG: Final = 0  # lever arm IMU to GNSS antenna in b, 3

@@ -103,6 +103,8 @@ def test_epochs_lie_between_driving_off_and_the_end():
     assert found[-1] < 200.0
     with pytest.raises(ConfigError, match="expected 79 or more"):
         epochs(what, 70.0)
+    # where it sways on the spot it has driven off when it is aligned
+    assert 60.0 < epochs(load("dithered"))[0] < 70.0
 
 
 def test_a_campaign_needs_a_scenario_that_fits():

@@ -29,6 +29,8 @@ def nominal(lat=0.9, lon=0.3, wander=0.4, height=5000.0, v=(180.0, -90.0, 5.0), 
     x[st.X_W : st.X_W + 3] = rng.normal(size=3) * 0.1
     x[st.X_F : st.X_F + 3] = rng.normal(size=3) * 5.0
     x[st.X_A : st.X_A + 3] = rng.normal(size=3)
+    x[st.X_WD : st.X_WD + 3] = rng.normal(size=3) * 3.0
+    x[st.X_WT] = 0.005
     return x
 
 

@@ -25,12 +25,17 @@ def parameters():
     return p
 
 
+def rate_now(x):
+    """w_ib_b at the state's time: what is kept is of half an update before."""
+    return x[st.X_W : st.X_W + 3] + x[st.X_WT] * x[st.X_WD : st.X_WD + 3]
+
+
 def vehicle_velocity(x, p):
     """Velocity of the odometer point in v, by matrices."""
     C_nb = rot.dcm_from_quat(x[X_Q : X_Q + 4])
     C_vb = rot.dcm_from_quat(x[st.X_QV : st.X_QV + 4])
     C_en = x[X_C : X_C + 9].reshape(3, 3)
-    w_eb = x[st.X_W : st.X_W + 3] - C_nb.T @ C_en.T @ [0, 0, earth.EARTH_RATE]
+    w_eb = rate_now(x) - C_nb.T @ C_en.T @ [0, 0, earth.EARTH_RATE]
     return C_vb @ (C_nb.T @ x[X_V : X_V + 3] + np.cross(w_eb, p[st.P_LO : st.P_LO + 3]))
 
 
@@ -39,7 +44,7 @@ def exact(kind, x, p):
     C_nb = rot.dcm_from_quat(x[X_Q : X_Q + 4])
     C_en = x[X_C : X_C + 9].reshape(3, 3)
     lat, lon, _ = earth.position_angles(C_en)
-    w_eb = x[st.X_W : st.X_W + 3] - C_nb.T @ C_en.T @ [0, 0, earth.EARTH_RATE]
+    w_eb = rate_now(x) - C_nb.T @ C_en.T @ [0, 0, earth.EARTH_RATE]
     lever = p[st.P_LG : st.P_LG + 3]
     if kind == "gnss_position":
         r = np.array(earth.geodetic_to_xyz(lat, lon, x[X_H])) + C_en @ C_nb @ lever
@@ -128,17 +133,40 @@ def test_a_perfect_measurement_has_no_residual(kind):
 
 @pytest.mark.parametrize("tau", [0.004, 0.02])
 def test_position_between_two_epochs(tau):
-    """A fix ``tau`` before the state: prediction by velocity and acceleration is exact to third order."""
-    p = np.zeros(st.P_SIZE)
-    x = nominal(wander=0.0)
-    lat, lon, _ = earth.position_angles(x[X_C : X_C + 9].reshape(3, 3))
-    C_eg = earth.position_matrix(lat, lon)
+    """A fix ``tau`` before the state, of an antenna that turns: exact for a steady rate and acceleration."""
+    x, p, C_eg, C_nb, _ = before(tau)
+    lat, lon, _ = earth.position_angles(C_eg)
     back = x[X_V : X_V + 3] * tau - 0.5 * x[st.X_A : st.X_A + 3] * tau**2
-    r = np.array(earth.geodetic_to_xyz(lat, lon, x[X_H])) - C_eg @ back
+    r = np.array(earth.geodetic_to_xyz(lat, lon, x[X_H])) + C_eg @ (C_nb @ p[st.P_LG : st.P_LG + 3] - back)
     out = np.zeros(12)
-    z = np.array([tau, *r, *SMALL])
-    MEASUREMENTS["gnss_position"].kernel(x.copy(), np.eye(st.FULL), p, z, -1.0, out)
+    MEASUREMENTS["gnss_position"].kernel(x.copy(), np.eye(st.FULL), p, np.array([tau, *r, *SMALL]), -1.0, out)
     np.testing.assert_allclose(out[:3], 0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("tau", [0.004, 0.02])
+def test_velocities_between_two_epochs(tau):
+    """Of an antenna, and of the wheels in the axes that the vehicle had then."""
+    x, p, C_eg, C_nb, w_eb = before(tau)
+    v = x[X_V : X_V + 3] - x[st.X_A : st.X_A + 3] * tau
+    out = np.zeros(12)
+    z = np.array([tau, *(C_eg @ (v + C_nb @ np.cross(w_eb, p[st.P_LG : st.P_LG + 3]))), *SMALL])
+    MEASUREMENTS["gnss_velocity"].kernel(x.copy(), np.eye(st.FULL), p, z, -1.0, out)
+    np.testing.assert_allclose(out[:3], 0.0, atol=1e-8)
+    C_vb = rot.dcm_from_quat(x[st.X_QV : st.X_QV + 4])
+    wheels = C_vb @ (C_nb.T @ v + np.cross(w_eb, p[st.P_LO : st.P_LO + 3]))
+    z = np.array([tau, wheels[1] / (1.0 + x[st.X_KO]), 1e-7])
+    MEASUREMENTS["speed"].kernel(x.copy(), np.eye(st.FULL), p, z, -1.0, out)
+    assert abs(out[0]) < 1e-8
+
+
+def before(tau):
+    """A state, parameters, and C_en, C_nb and w_eb_b of ``tau`` s before it, turning steadily."""
+    x = nominal(wander=0.0)
+    x[st.X_WD : st.X_WD + 3] = 0.0
+    C_en = x[X_C : X_C + 9].reshape(3, 3)
+    C_nb = rot.dcm_from_quat(x[X_Q : X_Q + 4])
+    w_eb = rate_now(x) - C_nb.T @ C_en.T @ [0, 0, earth.EARTH_RATE]
+    return x, parameters(), C_en, C_nb @ rot.dcm_from_quat(rot.quat_from_rotvec(-w_eb * tau)), w_eb
 
 
 def test_what_a_receiver_says_of_itself_in_earth_fixed_axes():
@@ -217,7 +245,7 @@ def test_a_start_tells_wheels_nothing_of_the_heading(jerk):
     x = nominal()
     x[X_Q : X_Q + 4] = rot.quat_from_rotvec([0.0, 0.0, heading])
     x[st.X_QV : st.X_QV + 4] = [1.0, 0.0, 0.0, 0.0]
-    x[st.X_W : st.X_W + 3] = 0.0
+    x[st.X_W : st.X_W + 3] = x[st.X_WD : st.X_WD + 3] = 0.0
     ahead = rot.dcm_from_quat(x[X_Q : X_Q + 4])[:, 1]
     acceleration = force + jerk * T
     x[X_V : X_V + 3] = ahead * (force * T + 0.5 * jerk * T**2)
