@@ -65,6 +65,13 @@ class Grade:
     accel_scale_ppm_per_deg_c: float = 0.0
     accel_bias_ug_per_deg_c: float = 0.0
 
+    @property
+    def plain(self) -> bool:
+        """Whether it has no second-order terms."""
+        return not (
+            self.gyro_product_deg_per_h_per_g2 or self.accel_square_ug_per_g2 or self.accel_product_ug_per_g2
+        )
+
 
 GRADES: Final = {
     grade.name: grade
@@ -133,7 +140,7 @@ GRADES: Final = {
             accel_scale_ppm=40.0,
             accel_asymmetry_ppm=5.0,
             accel_misalignment_arcsec=10.0,
-            accel_m_s_per_pulse=1.0e-5,
+            accel_m_s_per_pulse=2.0e-5,
             correlation_s=1800.0,
             clock_ppm=3.0,
             factory=20.0,

@@ -90,7 +90,10 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         help="of gyros and of accelerometers: three along x, y, z, these and two askew, or six on a cone",
     )
     units.add_argument(
-        "--grade", action="append", metavar="NAME", help="fog, mems or rlg; may be given again (default: all)"
+        "--grade",
+        action="append",
+        metavar="NAME",
+        help="fog, mems, rlg (default: all three) or, for plans with second-order terms, dtg; may be given again",
     )
     units.add_argument(
         "--site",
@@ -178,7 +181,7 @@ def _calibration(args: argparse.Namespace, progress: Progress | None) -> int:
     from bridge.errors import ConfigError
     from bridge.studies import calibration_campaign as study
 
-    grades = args.grade or study.NAMES
+    grades = args.grade or study.USUAL
     for grade in grades:
         if grade not in study.NAMES:
             expected = ", ".join(study.NAMES)

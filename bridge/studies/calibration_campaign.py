@@ -19,19 +19,32 @@ from bridge.calibration_plan import Plan, Site
 from bridge.studies.turntable import scenario_of
 from bridge.studies.workers import Progress, each
 from nav.calibrate.checks import moved
-from nav.calibrate.model import NUISANCE, Model
+from nav.calibrate.model import LETTERS, NUISANCE, Model, Sensor
 from nav.calibrate.segments import segment
 from nav.calibrate.solve import Noise, fit
 from nav.calibrate.stream import Nominal, Stream
 from nav.imu.geometry import GEOMETRIES
 from nav.types import Vector
 from virtual_bus.faults import Faults
-from virtual_bus.grades import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, GRADES, UG, Grade, ImuErrors, draw_imu
-from virtual_bus.sensors import Imu, generator
+from virtual_bus.grades import (
+    ARCSEC,
+    DEG_PER_H,
+    DEG_PER_SQRT_H,
+    GRADES,
+    REFERENCE_DEG_C,
+    UG,
+    Grade,
+    ImuErrors,
+    draw_imu,
+)
+from virtual_bus.sensors import Imu, Warming, generator
 from virtual_bus.turntable import Turntable
 
 RATE_HZ: Final = 25.0  # the slowest at which 20 deg/s leave the counters of every grade room
 NAMES: Final = tuple(sorted(GRADES))
+USUAL: Final = tuple(name for name in NAMES if GRADES[name].plain)
+"""Those that a plan without second-order terms is enough for."""
+_AT_REFERENCE: Final = Warming(REFERENCE_DEG_C, REFERENCE_DEG_C)
 COVERAGE: Final = (0.93, 0.975)
 """Between these the share of errors within two sigmas must be, all coefficients of all runs together."""
 LARGEST: Final = 4.5
@@ -165,7 +178,7 @@ def counted(table: Turntable, grade: Grade, geometry: str, seed: int) -> tuple[S
     delta, gravity = table.drawn(generator(seed, f"{of}/table"))
     trajectory = table.trajectory(table.seconds(), generator(seed, f"{of}/table"))
     unit = draw_imu(grade, generator(seed, f"{of}/unit"), GEOMETRIES[geometry])
-    imu = Imu(trajectory, grade, unit, generator(seed, f"{of}/imu"), Faults([]))
+    imu = Imu(trajectory, grade, unit, generator(seed, f"{of}/imu"), Faults([]), warming=_AT_REFERENCE)
     rate = round(table.imu.rate_hz)
     count = int(table.seconds() * rate)
     t_ns = np.rint(np.arange(count + 1) * (1e9 / rate)).astype(np.int64)
@@ -193,9 +206,19 @@ def truth(model: Model, unit: ImuErrors) -> Vector:
             "bias": triad.bias[k] / along,
             **{one.angle_of(side): float(one.across[:, side] @ triad.axes[k]) / along for side in (0, 1)},
             **{f"g sensitivity {x}": g / along for x, g in zip("xyz", triad.g_sensitivity[k], strict=True)},
+            **_second_order(one, triad.second[k % len(triad.second)] / along),
         }
         values += [float(own[term]) for term in one.terms]
     return np.array(values)
+
+
+def _second_order(one: Sensor, form: Vector) -> dict[str, float]:
+    """Coefficients of f . ``form`` @ f as a sensor's model has them."""
+    pairs = ((1, 2), (2, 0), (0, 1))
+    own = {f"product {LETTERS[i]}{LETTERS[j]}": 2.0 * float(form[i, j]) for i, j in pairs}
+    for side, where in enumerate(one.toward):
+        own[f"product toward {where}"] = 2.0 * float(one.axis @ form @ one.across[:, side])
+    return {**own, "square": float(one.axis @ form @ one.axis)}
 
 
 def _one(plan: Plan, site: Site | None, grade: str, geometry: str, seed: int) -> Round:

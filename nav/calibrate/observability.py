@@ -105,16 +105,17 @@ def _hidden(design: Vector) -> tuple[Vector, Vector]:
 
 def _look(model: Model, design: Vector) -> Observability:
     hidden, size = _hidden(design)
-    unseen = []
+    unseen: list[list[int]] = []
     touched = np.zeros(model.size, dtype=bool)
     for direction in hidden:
         share = np.abs(direction * size)
         share /= share.max()
-        order = [int(k) for k in np.argsort(-share) if share[k] > _PART]
+        order = [int(k) for k in np.argsort(-np.round(share, 6), kind="stable") if share[k] > _PART]
         touched[order] = True
-        unseen.append(tuple(model.names[k] for k in order))
+        unseen.append(order)
     _, values, V = np.linalg.svd(design / size, full_matrices=False)
     keep = values > _RANK * values[0]
     factor = np.linalg.norm(V[keep] / values[keep, None], axis=0)
     factor = np.where(touched, np.inf, factor)
-    return Observability(tuple(unseen), factor / size, factor, model.names)
+    named = tuple(tuple(model.names[k] for k in order) for order in sorted(unseen, key=min))
+    return Observability(named, factor / size, factor, model.names)
