@@ -33,6 +33,14 @@ METHODS: Final = {
     "gnss": 15,
     "large_angle": 16,
     "stored": 17,
+    "transfer_one_shot": 33,
+    "transfer_velocity": 34,
+    "transfer_position": 35,
+    "transfer_velocity_heading": 36,
+    "transfer_velocity_heading_13": 37,
+    "transfer_velocity_heading_7": 38,
+    "transfer_velocity_attitude": 39,
+    "transfer_velocity_rate": 40,
 }
 """Numbers of alignments in a command's argument and in SOL_ALIGN; a number is never given to another one."""
 
@@ -67,6 +75,7 @@ class Reason(IntEnum):
     NO_ODOMETER = 6
     NO_SPEED = 7
     NO_BAROMETER = 8
+    NO_MASTER = 9
 
 
 LACKS: Final = {
@@ -76,6 +85,7 @@ LACKS: Final = {
     "odometer": (Reason.NO_ODOMETER, "an odometer"),
     "speed": (Reason.NO_SPEED, "a speed"),
     "baro": (Reason.NO_BAROMETER, "a barometer"),
+    "master": (Reason.NO_MASTER, "a master navigator"),
 }
 """What an alignment may need, by the word for it: why it is refused without, and how that is said."""
 

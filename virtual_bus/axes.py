@@ -24,6 +24,13 @@ def attitude(heading: Array, pitch: Array, roll: Array) -> Array:
     )
 
 
+def euler(C: Array) -> tuple[Array, Array, Array]:
+    """Heading in [0, 2 pi), pitch and roll (n,) rad of `attitude` matrices (n, 3, 3)."""
+    heading = np.arctan2(C[:, 0, 1], C[:, 1, 1]) % (2.0 * math.pi)
+    pitch = np.arcsin(np.clip(C[:, 2, 1], -1.0, 1.0))
+    return heading, pitch, np.arctan2(-C[:, 2, 0], C[:, 2, 2])
+
+
 def quaternion(C: Array) -> Array:
     """Quaternion (4,) of a rotation matrix, scalar part not negative."""
     # largest of the four squares first: never a division by something small

@@ -6,7 +6,7 @@ import errno
 import heapq
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import can
@@ -19,10 +19,11 @@ from virtual_bus.devices import Device
 from virtual_bus.dither import CYCLE, Dither
 from virtual_bus.faults import AnyFault, BusFrame, Faults, Flood
 from virtual_bus.grades import GRADES, PPM, draw_imu
+from virtual_bus.master import master_of
 from virtual_bus.scenario import Scenario
 from virtual_bus.sensors import Barometer, Gnss, GnssErrors, Imu, Odometer, SpeedLog, Warming, generator
 from virtual_bus.tables import DeviceTable
-from virtual_bus.truth import TruthState
+from virtual_bus.truth import TruthState, itself
 
 CALIBRATION = "imu_calibration.toml"
 """Name of the calibration file that goes with `Bench.config_toml`."""
@@ -93,10 +94,15 @@ class Bench:
         self.trajectory.solve(self.end_ns - self.start_ns)
 
     def truth(self, t_ns: int) -> TruthState:
-        """Truth at ``t_ns`` for the output point; times outside of the scenario are taken at its ends."""
+        """Truth at ``t_ns`` for the output point; times outside of the scenario are taken at its ends.
+
+        Beside a master the vehicle is what carries the IMU on its own: a store that turns as the IMU does.
+        """
         point = self.scenario.vehicle.output_m
         state = self.trajectory.state(t_ns - self.start_ns, None if point is None else np.array(point))
-        return state if not self.start_ns else _at(state, t_ns)
+        if self.scenario.master is not None:
+            state = itself(state)
+        return state if not self.start_ns else replace(state, t_ns=t_ns)
 
     def inject(self, fault: AnyFault) -> None:
         """Add a fault, its start counted from the start of the scenario."""
@@ -210,13 +216,12 @@ class Bench:
             gnss = Gnss(trajectory, np.array(s.vehicle.antenna_m), errors, noise["gnss"], active)
             device = self._device("gnss", g, g.rate_hz, gnss=True)
             streams["gnss"] = devices.gnss_frames(device, g, gnss, s.start)
+        if s.master is not None:
+            device = self._device("master", s.master, s.master.rate_hz)
+            master = master_of(s.master, trajectory, noise["master"])
+            streams["master"] = devices.master_frames(device, s.master, master)
         for name, stream in streams.items():
             yield faults.disturb(stream, active, name, generator(self.seed, f"{name}/faults"))
-
-
-def _at(state: TruthState, t_ns: int) -> TruthState:
-    values = {name: getattr(state, name) for name in TruthState.__slots__}
-    return TruthState(**{**values, "t_ns": t_ns})
 
 
 def send(bus: can.BusABC, frame: BusFrame, sent: Sent) -> None:

@@ -179,6 +179,8 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         lines += _device("speed", "speed_can", s.speed, [])
     if s.gnss is not None:
         lines += _device("gnss", "gnss_can", s.gnss, [])
+    if s.master is not None:
+        lines += _device("master", "master_can", s.master, [])
     if s.baro is not None:
         lines += _device("baro", "baro_can", s.baro, [f"sigma_m = {max(0.01, s.baro.noise_m)!r}"])
 

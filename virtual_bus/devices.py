@@ -6,6 +6,7 @@ sensor that is switched on by call holds from the second after.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -14,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbc.codec import contract
+from virtual_bus.axes import euler
 from virtual_bus.faults import AliveCounter, BusFrame, Faults, Flood, Reset
 from virtual_bus.grades import PPM
+from virtual_bus.master import Master
 from virtual_bus.sensors import Barometer, Gnss, Imu, Odometer, SpeedLog
-from virtual_bus.tables import DeviceTable, GnssTable, ImuTable, OdometerTable, Start
+from virtual_bus.tables import DeviceTable, GnssTable, ImuTable, MasterTable, OdometerTable, Start
 
 Times = NDArray[np.int64]
 
@@ -29,6 +32,8 @@ SIGMA_POSITION_MAX: Final = 16.382
 SIGMA_VELOCITY_MAX: Final = 8.191
 LATCH_AGE_MAX_US: Final = 6553.5
 NO_FIX: Final = 1
+MASTER_SIGMA_M: Final = 4095.5
+MASTER_SIGMA_UP_M: Final = 819.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,6 +263,43 @@ def gnss_frames(device: Device, table: GnssTable, gnss: Gnss, start: Start) -> I
             )
             a = alive.next(t)
             for place, (message, row) in enumerate(zip(messages, rows, strict=True)):
+                data = message.encode(a, *row)
+                yield BusFrame(send + place * FRAME_NS, table.channel, message.frame_id, data, False)
+
+
+def master_frames(device: Device, table: MasterTable, master: Master) -> Iterator[BusFrame]:
+    """The frames of every epoch of a master; ten, or eight of one on a platform."""
+    names = ("TIME", "LAT", "LON", "HEIGHT", "VEL_H", "VEL_U", "LEVEL", "HEADING", "RATE", "FORCE")
+    messages = [contract()[f"MASTER_{name}"] for name in names]
+    alive = device.counter(messages[0].alive_modulus)
+    age_ns = round(1e6 * table.age_ms)
+    position, velocity, height = table.position_m, table.velocity_m_s, table.height_m
+    tilt, turn = (math.degrees(1e-3 * x) for x in (table.tilt_mrad, table.heading_mrad))
+    for block in device.blocks():
+        if block.fresh:
+            alive.restart()
+        said = master.block(block.t_ns[1:] - age_ns)
+        heading, pitch, roll = (np.degrees(x).tolist() for x in euler(said.C_ga))
+        lat, lon = np.degrees(said.lat).tolist(), np.degrees(said.lon).tolist()
+        v_g, rate, force = said.v_g.tolist(), np.degrees(said.w_ia_a).tolist(), said.f_a.tolist()
+        times = zip(block.t_ns[1:].tolist(), block.send_ns.tolist(), strict=True)
+        for k, (t, send) in enumerate(times):
+            us = int(block.device_ns[k + 1]) // US
+            east, north, up = v_g[k]
+            rows: list[tuple[float, ...]] = [
+                (1, 1, not table.platform, us & 0xFFFF_FFFF_FFFF),
+                (lat[k], min(position, MASTER_SIGMA_M)),
+                (lon[k], min(position, MASTER_SIGMA_M)),
+                (float(said.height[k]), min(height, MASTER_SIGMA_UP_M)),
+                (east, north),
+                (up, min(velocity, SIGMA_VELOCITY_MAX), min(velocity, SIGMA_VELOCITY_MAX)),
+                (roll[k], pitch[k]),
+                (heading[k] % 360.0, tilt, turn),
+            ]
+            if not table.platform:
+                rows += [tuple(rate[k]), tuple(force[k])]
+            a = alive.next(t)
+            for place, (message, row) in enumerate(zip(messages, rows, strict=False)):
                 data = message.encode(a, *row)
                 yield BusFrame(send + place * FRAME_NS, table.channel, message.frame_id, data, False)
 

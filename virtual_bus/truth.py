@@ -15,7 +15,7 @@ too. What is told of the truth (heading, velocity) is geographic.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -23,8 +23,9 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from nav.rotation import dcm_from_quat
 from virtual_bus import ellipsoid
-from virtual_bus.axes import attitude, cross, down, quaternion, up
+from virtual_bus.axes import attitude, cross, down, euler, quaternion, up
 from virtual_bus.crab import Crab
 from virtual_bus.ellipsoid import G0, OMEGA
 from virtual_bus.manoeuvres import Profile
@@ -105,6 +106,13 @@ class TruthState:
     heading: float
 
 
+def itself(state: TruthState) -> TruthState:
+    """The same where the vehicle is the IMU itself."""
+    C = dcm_from_quat(state.q_gb)
+    heading, pitch, roll = (float(angle[0]) for angle in euler(C[None]))
+    return replace(state, q_gv=state.q_gb, roll=roll, pitch=pitch, heading=heading)
+
+
 def mounting_matrix(pitch_deg: float, roll_deg: float, heading_deg: float) -> Array:
     """C_vb (3, 3) of an IMU mounted at these angles to the vehicle, in the order heading, pitch, roll."""
     angles = np.radians(np.array([[heading_deg, pitch_deg, roll_deg]]))
@@ -174,6 +182,7 @@ class Trajectory:
         imu = self.motion(t)
         at = imu if point is None else self.motion(t, point)
         C_gv, C_vb = at.C_gv[0], self.vehicle.C_vb
+        heading, pitch, roll = (float(angle[0]) for angle in euler(at.C_gv))
         return TruthState(
             t_ns=t_ns,
             lat=float(at.lat[0]),
@@ -184,9 +193,9 @@ class Trajectory:
             q_gb=quaternion(C_gv @ C_vb),
             w_ib_b=C_vb.T @ imu.w_iv_v[0],
             f_b=C_vb.T @ imu.f_v[0],
-            roll=math.atan2(-C_gv[2, 0], C_gv[2, 2]),
-            pitch=math.asin(max(-1.0, min(1.0, C_gv[2, 1]))),
-            heading=math.atan2(C_gv[0, 1], C_gv[1, 1]) % (2.0 * math.pi),
+            roll=roll,
+            pitch=pitch,
+            heading=heading,
         )
 
     def _local(self, t_ns: Times) -> tuple[NDArray[np.intp], Array]:

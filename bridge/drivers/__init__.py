@@ -16,6 +16,7 @@ from bridge.drivers.dbc_map import DbcMap
 from bridge.drivers.dbc_map_options import DbcMapOptions
 from bridge.drivers.gnss_can import GnssCan, GnssCanOptions
 from bridge.drivers.imu_can import ImuCan, ImuCanOptions
+from bridge.drivers.master_can import MasterCan, MasterCanOptions
 from bridge.drivers.odometer_can import OdometerCan, OdometerCanOptions
 from bridge.drivers.sensors_mavlink import SensorsMavlink, SensorsMavlinkOptions
 from bridge.drivers.speed_can import SpeedCan, SpeedCanOptions
@@ -36,6 +37,7 @@ DRIVERS: dict[str, Entry] = {
     "speed_can": Entry(SpeedCanOptions, SpeedCan, "can", _always("speed")),
     "gnss_can": Entry(GnssCanOptions, GnssCan, "can", _always("gnss")),
     "baro_can": Entry(BaroCanOptions, BaroCan, "can", _always("baro")),
+    "master_can": Entry(MasterCanOptions, MasterCan, "can", _always("master")),
     "sensors_mavlink": Entry(
         SensorsMavlinkOptions, SensorsMavlink, "mavlink", SensorsMavlinkOptions.provides
     ),

@@ -73,4 +73,4 @@ class Entry(NamedTuple):
     factory: Callable[[Any, Context], Driver]
     source_type: str
     provides: Callable[[Any], frozenset[str]]
-    """From the options to the kinds of samples: "imu", "odometer", "speed", "gnss", "baro"."""
+    """From the options to the kinds of samples: "imu", "odometer", "speed", "gnss", "baro", "master"."""

@@ -10,17 +10,14 @@ import numpy as np
 from msgspec import Meta
 
 from bridge.drivers.base import Context
-from bridge.drivers.can_frames import intact, repeated
-from bridge.drivers.counters import Counters
+from bridge.drivers.can_epochs import Epochs, Parts
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive
 from bridge.outputs import Reject
-from dbc.codec import MessageCodec
 from nav.types import FixType, GnssFix
 
 WEEK_NS: Final = 604_800 * 10**9
 _MESSAGES: Final = ("GNSS_TIME", "GNSS_LAT", "GNSS_LON", "GNSS_HEIGHT", "GNSS_VEL", "GNSS_ACC")
-_ALL: Final = (1 << len(_MESSAGES)) - 1
 _RAD: Final = math.pi / 180.0
 
 
@@ -37,67 +34,26 @@ class GnssCanOptions(DeviceOptions):
 
 
 class GnssCan:
-    """Collects frames of one ALIVE until all six are there."""
+    """Makes a fix of the six frames of one ALIVE."""
 
     def __init__(self, options: GnssCanOptions, context: Context) -> None:
-        self.counters = Counters()
+        self._epochs = Epochs(_MESSAGES, options.id_offset, context)
+        self.counters, self.keys = self._epochs.counters, self._epochs.keys
         self._name = context.name
         self._port = context.port(None, options.latency_ms)
         self._min_p = options.min_sigma_position_m
         self._min_v = options.min_sigma_velocity_m_s
-        self._codecs: dict[int, tuple[int, MessageCodec]] = {}
-        for place, name in enumerate(_MESSAGES):
-            codec = context.message(name)
-            self._codecs[codec.frame_id + options.id_offset] = (place, codec)
-        self.keys = [(context.source, key) for key in self._codecs]
-        self._alive = -1  # of the epoch being collected; -1: none
-        self._done_alive = -1
-        self._have = 0
-        self._parts: list[tuple[float, ...]] = [()] * len(_MESSAGES)
-        self._data: list[bytes] = [b""] * len(_MESSAGES)
-        self._rx_ns = 0
 
     def feed(self, frame: RawFrame) -> Sequence[GnssFix]:
         """The fix that ``frame`` completes."""
-        _, rx_ns, _, key, data = frame
-        counters = self.counters
-        counters.frames += 1
-        place, codec = self._codecs[key]
-        if not intact(codec, data, counters):
-            return ()
-        alive = codec.alive(data)
-        if alive == self._done_alive or (alive == self._alive and self._have >> place & 1):
-            return repeated(data, self._data[place], counters)
-        if alive != self._alive:
-            if self._have:
-                counters.reject(Reject.INCOMPLETE)
-            if self._done_alive >= 0 or self._alive >= 0:
-                last = self._alive if self._alive >= 0 else self._done_alive
-                counters.missing += (alive - last) % codec.alive_modulus - 1
-            self._alive = alive
-            self._done_alive = -1
-            self._have = 0
-        if place == 0:
-            self._rx_ns = rx_ns
-        values = codec.decode(data)
-        self._data[place] = data
-        self._parts[place] = values
-        self._have |= 1 << place
-        if self._have != _ALL:
-            return ()
-        self._have = 0
-        self._done_alive = alive
-        self._alive = -1
-        for part, (_, each) in zip(self._parts, self._codecs.values(), strict=True):
-            if not each.in_range(part):
-                return counters.reject(Reject.RANGE)
-        return self._fix()
+        parts = self._epochs.take(frame)
+        return () if parts is None else self._fix(parts)
 
-    def _fix(self) -> Sequence[GnssFix]:
+    def _fix(self, parts: Parts) -> Sequence[GnssFix]:
         counters = self.counters
-        (tow_us, week), (lat, sigma_n), (lon, sigma_e), height, velocity, accuracy = self._parts
+        (tow_us, week), (lat, sigma_n), (lon, sigma_e), height, velocity, accuracy = parts
         gps_ns = int(week) * WEEK_NS + int(tow_us) * 1000
-        t_ns = self._port.stamp(gps_ns, self._rx_ns)
+        t_ns = self._port.stamp(gps_ns, self._epochs.rx_ns)
         elapsed = self._port.elapsed_ns
         fix_type = FixType(int(height[2]))
         if fix_type < FixType.FIX_3D:

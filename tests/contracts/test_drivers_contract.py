@@ -20,7 +20,7 @@ from bridge.options import SOURCE_OPTIONS, DeviceOptions
 from bridge.outputs import DeviceHealth
 from bridge.strict import convert
 from nav.align import ALIGNMENTS
-from nav.types import BaroSample, GnssFix, ImuSample, OdoSample, SpeedSample
+from nav.types import BaroSample, GnssFix, ImuSample, MasterState, OdoSample, SpeedSample
 from tests.drivers.made import CALIBRATION
 
 KINDS = {
@@ -29,6 +29,7 @@ KINDS = {
     "speed": SpeedSample,
     "gnss": GnssFix,
     "baro": BaroSample,
+    "master": MasterState,
 }
 
 DBC = b"""VERSION ""
@@ -92,7 +93,7 @@ def test_a_driver_can_be_made_and_says_what_it_is(name: str) -> None:
 def test_options_end_in_their_units(name: str) -> None:
     """A number with a unit says it in its key; those without are counts, ratios and identifiers."""
     plain = {"id_offset", "bridge_samples", "system_id", "component_id", "sensor_id", "wheels"}
-    units = ("_ms", "_hz", "_m", "_m_s", "_per_tick", "_per_count", "_s", "_us")
+    units = ("_ms", "_hz", "_m", "_m_s", "_per_tick", "_per_count", "_s", "_us", "_deg")
     for field in msgspec.structs.fields(DRIVERS[name].options):
         text = str(field.type)
         if ("float" in text or "int" in text) and "Map" not in text and field.name not in plain:

@@ -147,11 +147,15 @@ def test_the_contract_of_identifiers() -> None:
         "IMU_FD": 0x110,
         "ODO": 0x120, "SPEED": 0x121, "BARO": 0x122,
         "GNSS_TIME": 0x130, "GNSS_LAT": 0x131, "GNSS_LON": 0x132, "GNSS_HEIGHT": 0x133, "GNSS_VEL": 0x134,
-        "GNSS_ACC": 0x135, "COMMAND": 0x180, "COMMAND_ACK": 0x181,
+        "GNSS_ACC": 0x135, "MASTER_TIME": 0x140, "MASTER_LAT": 0x141, "MASTER_LON": 0x142,
+        "MASTER_HEIGHT": 0x143, "MASTER_VEL_H": 0x144, "MASTER_VEL_U": 0x145, "MASTER_LEVEL": 0x146,
+        "MASTER_HEADING": 0x147, "MASTER_RATE": 0x148, "MASTER_FORCE": 0x149,
+        "COMMAND": 0x180, "COMMAND_ACK": 0x181,
         "SOL_TIME": 0x200, "SOL_LEVEL": 0x201, "SOL_HEADING": 0x202, "SOL_VEL_H": 0x203, "SOL_VEL_U": 0x204,
         "SOL_LAT": 0x205, "SOL_LON": 0x206, "SOL_HEIGHT": 0x207, "SOL_RATE": 0x208, "SOL_FORCE": 0x209,
         "SOL_SIGMA_ATT": 0x20A, "SOL_SIGMA_VEL": 0x20B, "SOL_REJECTS": 0x20C, "SOL_HEALTH": 0x20D,
         "SOL_ALIGN": 0x20E, "SOL_IMU_HEALTH": 0x20F,
+        "SOL_TRANSFER": 0x210, "SOL_TRANSFER_OBS": 0x211,
     }  # fmt: skip
     assert {name: codec.frame_id for name, codec in c.items()} == expected
     assert len(c) == len(expected)
