@@ -20,6 +20,7 @@ from virtual_bus.dither import CYCLE, Dither
 from virtual_bus.faults import AnyFault, BusFrame, Faults, Flood
 from virtual_bus.grades import GRADES, PPM, draw_imu
 from virtual_bus.master import master_of
+from virtual_bus.redundancy import AXES
 from virtual_bus.scenario import Scenario
 from virtual_bus.sensors import Barometer, Gnss, GnssErrors, Imu, Odometer, SpeedLog, Warming, generator
 from virtual_bus.tables import DeviceTable
@@ -61,7 +62,9 @@ class Bench:
         self.end_ns = start_ns + round(self.seconds * 1e9)
         self.trajectory = self.scenario.trajectory(self.seconds, generator(seed, "vehicle/mounting"))
         self.grade = GRADES[self.scenario.grade]
-        self.imu_errors = draw_imu(self.grade, generator(seed, "imu/unit"))
+        axes = self.scenario.imu.axes
+        sensors = None if axes is None else AXES[axes]
+        self.imu_errors = draw_imu(self.grade, generator(seed, "imu/unit"), sensors)
         self.channels = sorted({table.channel for table in self.scenario.devices().values()})
         self._faults = Faults(self.scenario.fault)
         self._streams = 0

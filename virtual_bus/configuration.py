@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_bus.crab import CRAB_SHORTEST
-from virtual_bus.devices import FRAME_NS
+from virtual_bus.devices import EACH, FRAME_NS
 from virtual_bus.ellipsoid import G0
 from virtual_bus.grades import (
     ARCSEC,
@@ -108,14 +108,14 @@ def calibration_toml(
         f"scale_arcsec_per_pulse = {_vector(gyro.scale / ARCSEC)}",
         f"bias_deg_per_h = {_vector(gyro.bias / DEG_PER_H)}",
         f"g_sensitivity_deg_per_h_per_g = {_matrix(gyro.g_sensitivity * G0 / DEG_PER_H)}",
-        f"misalignment_arcsec = {_matrix((gyro.axes - np.eye(3)) / ARCSEC)}",
+        _axes(gyro),
         *_second_order(gyro, "deg_per_h", DEG_PER_H),
         *_temperature(gyro, "deg_per_h", DEG_PER_H),
         "",
         "[accel]",
         f"scale_m_s_per_pulse = {_vector(accel.scale)}",
         f"bias_ug = {_vector(accel.bias / UG)}",
-        f"misalignment_arcsec = {_matrix((accel.axes - np.eye(3)) / ARCSEC)}",
+        _axes(accel),
         *_second_order(accel, "ug", UG),
         *_temperature(accel, "ug", UG),
     ]
@@ -129,6 +129,27 @@ def calibration_toml(
             f"range_deg_c = {list(RANGE_DEG_C)!r}",
         ]
     return "\n".join(lines) + "\n"
+
+
+def _axes(triad: Triad) -> str:
+    """The line with the directions of a triad, or of more sensors."""
+    if len(triad.axes) > EACH:
+        return f"axes = {_matrix(triad.axes)}"
+    return f"misalignment_arcsec = {_matrix((triad.axes - np.eye(3)) / ARCSEC)}"
+
+
+def _redundant(grade: Grade) -> list[str]:
+    """What the sensors of a redundant unit of ``grade`` differ by, for who holds them against each other."""
+    return [
+        "[device.imu.redundant]",
+        f"gyro_random_walk_deg_per_sqrt_h = {grade.gyro_random_walk_deg_per_sqrt_h!r}",
+        f"gyro_bias_deg_per_h = {math.hypot(grade.gyro_bias_deg_per_h, grade.gyro_instability_deg_per_h)!r}",
+        f"gyro_scale_ppm = {max(grade.gyro_scale_ppm, grade.gyro_misalignment_arcsec * ARCSEC / PPM)!r}",
+        f"accel_random_walk_ug_per_sqrt_hz = {grade.accel_random_walk_ug_per_sqrt_hz!r}",
+        f"accel_bias_ug = {math.hypot(grade.accel_bias_ug, grade.accel_instability_ug)!r}",
+        f"accel_scale_ppm = {max(grade.accel_scale_ppm, grade.accel_misalignment_arcsec * ARCSEC / PPM)!r}",
+        "",
+    ]
 
 
 def _second_order(triad: Triad, unit: str, size: float) -> list[str]:
@@ -166,13 +187,15 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         ]
     if mavlink_url is not None:
         lines += ["[source.telemetry]", 'type = "mavlink"', f"url = {_text(mavlink_url)}", ""]
-    # frames of one sample follow each other; the drivers stamp the IMU's by the last of its three
-    before = (0 if s.imu.fd else 2) + (0 if s.imu.dither_hz is None else 1)
+    # frames of one sample follow each other; the drivers stamp the IMU's by the last of them
+    before = (0 if s.imu.fd else 2 if s.imu.axes is None else 4) + (0 if s.imu.dither_hz is None else 1)
     last_ms = 1e-6 * FRAME_NS * before
     imu = [f"calibration = {_text(wiring.calibration)}", f"rate_hz = {s.imu.rate_hz!r}"]
     if s.navigator.whole_cycle is not None:
         imu.append(f"whole_cycle = {_text(s.navigator.whole_cycle)}")
     lines += _device("imu", "imu_can", s.imu, imu, last_ms)
+    if s.imu.axes is not None:
+        lines += _redundant(wiring.grade)
     if s.odometer is not None:
         lines += _device("odometer", "odometer_can", s.odometer, [f"m_per_tick = {s.odometer.m_per_tick!r}"])
     if s.speed is not None:

@@ -7,18 +7,19 @@ sensor that is switched on by call holds from the second after.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbc.codec import contract
+from dbc.codec import MessageCodec, contract
 from virtual_bus.axes import euler
 from virtual_bus.faults import AliveCounter, BusFrame, Faults, Flood, Reset
 from virtual_bus.grades import PPM
 from virtual_bus.master import Master
+from virtual_bus.redundancy import NO_COUNT, PLACES
 from virtual_bus.sensors import Barometer, Gnss, Imu, Odometer, SpeedLog
 from virtual_bus.tables import DeviceTable, GnssTable, ImuTable, MasterTable, OdometerTable, Start
 
@@ -32,6 +33,8 @@ SIGMA_POSITION_MAX: Final = 16.382
 SIGMA_VELOCITY_MAX: Final = 8.191
 LATCH_AGE_MAX_US: Final = 6553.5
 NO_FIX: Final = 1
+EACH: Final = 3
+"""Sensors in a frame."""
 MASTER_SIGMA_M: Final = 4095.5
 MASTER_SIGMA_UP_M: Final = 819.1
 
@@ -113,14 +116,14 @@ class Device:
 def imu_frames(device: Device, table: ImuTable, imu: Imu, serial: int) -> Iterator[BusFrame]:
     """IMU_GYRO, IMU_ACCEL, IMU_TIME per sample and IMU_STATUS at 10 Hz, or IMU_FD per sample.
 
-    Before them IMU_LATCH, of gyros that dither.
+    Before them IMU_LATCH, of gyros that dither; of a redundant unit IMU_GYRO_2 and IMU_ACCEL_2 as well.
     """
     messages = contract()
     latch = messages["IMU_LATCH"]
-    gyro, accel, time, status = (messages[m] for m in ("IMU_GYRO", "IMU_ACCEL", "IMU_TIME", "IMU_STATUS"))
+    time, status = messages["IMU_TIME"], messages["IMU_STATUS"]
     channel = table.channel
     fd = messages["IMU_FD"]
-    alive = device.counter(fd.alive_modulus if table.fd else gyro.alive_modulus)
+    alive = device.counter(fd.alive_modulus if table.fd else time.alive_modulus)
     status_alive = device.counter(status.alive_modulus)
     latch_alive = device.counter(latch.alive_modulus)
     every = max(1, round(table.rate_hz / 10.0))
@@ -155,13 +158,30 @@ def imu_frames(device: Device, table: ImuTable, imu: Imu, serial: int) -> Iterat
                 data = fd.encode(a, *s, *c, sample & 0xFFFF, us & 0xFFFF_FFFF_FFFF, temperature, 0, 0, serial)
                 yield BusFrame(send, channel, fd.frame_id, data, True)
                 continue
-            yield BusFrame(send, channel, gyro.frame_id, gyro.encode(a, *s[:3], *c[:3]), False)
-            yield BusFrame(send + FRAME_NS, channel, accel.frame_id, accel.encode(a, *s[3:], *c[3:]), False)
+            for message, flags, some in carried(s, c):
+                yield BusFrame(send, channel, message.frame_id, message.encode(a, *flags, *some), False)
+                send += FRAME_NS
             data = time.encode(a, 0, sample & 0xFF, round(temperature), us & 0xFFFF_FFFF)
-            yield BusFrame(send + 2 * FRAME_NS, channel, time.frame_id, data, False)
+            yield BusFrame(send, channel, time.frame_id, data, False)
             if sample % every == 0:
                 data = status.encode(status_alive.next(t), temperature, 0, serial)
-                yield BusFrame(send + 3 * FRAME_NS, channel, status.frame_id, data, False)
+                yield BusFrame(send + FRAME_NS, channel, status.frame_id, data, False)
+
+
+def carried(
+    saturated: Sequence[int], counts: Sequence[int]
+) -> Iterator[tuple[MessageCodec, Sequence[int], Sequence[int]]]:
+    """The frames that carry the counts of a sample: three sensors each, some of them not there."""
+    messages = contract()
+    n = len(counts) // 2
+    for kind, begin in (("IMU_GYRO", 0), ("IMU_ACCEL", n)):
+        if n == EACH:
+            yield messages[kind], saturated[begin : begin + n], counts[begin : begin + n]
+            continue
+        flags = [*saturated[begin : begin + n], *[0] * (PLACES - n)]
+        filled = [*counts[begin : begin + n], *[NO_COUNT] * (PLACES - n)]
+        yield messages[kind], flags[:EACH], filled[:EACH]
+        yield messages[f"{kind}_2"], flags[EACH:], filled[EACH:]
 
 
 def odometer_frames(device: Device, table: OdometerTable, odometer: Odometer) -> Iterator[BusFrame]:

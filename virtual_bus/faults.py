@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from typing import NamedTuple, TypeVar
+from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -136,10 +137,46 @@ class WheelSlip(Fault, tag="wheel_slip", kw_only=True):
     factor: float
 
 
-class StuckAccel(Fault, tag="stuck_accel", kw_only=True):
-    """The accelerometer of one axis (0 right, 1 forward, 2 up) repeats its last count."""
+class SensorFault(Fault, kw_only=True):
+    """A fault of one gyro or accelerometer; ``number`` is 1 to 3 for right, forward, up, or more."""
 
-    axis: int
+    sensor: Literal["gyro", "accel"]
+    number: Annotated[int, Meta(ge=1, le=6)]
+
+    def column(self, sensors: int) -> int:
+        """Its place among all counts of a unit with so many ``sensors`` of each kind."""
+        return self.number - 1 + (sensors if self.sensor == "accel" else 0)
+
+
+class SensorBias(SensorFault, tag="sensor_bias", kw_only=True):
+    """Its bias is another one: at once, or after ``ramp_s`` and on at that pace."""
+
+    bias_deg_per_h: float | None = None
+    bias_ug: float | None = None
+    ramp_s: Annotated[float, Meta(ge=0.0)] = 0.0
+
+    def __post_init__(self) -> None:
+        """Reject an interval that cannot be, and a bias in the unit of the other kind."""
+        super().__post_init__()
+        given = {"bias_deg_per_h": self.bias_deg_per_h, "bias_ug": self.bias_ug}
+        wanted = "bias_deg_per_h" if self.sensor == "gyro" else "bias_ug"
+        if [name for name, value in given.items() if value is not None] != [wanted]:
+            raise ValueError(f"fault of a {self.sensor}: expected {wanted} and no other bias")
+
+    def share(self, t_ns: Times) -> Array:
+        """How much of it there is at ``t_ns`` (n,)."""
+        share = np.ones(len(t_ns)) if not self.ramp_s else (t_ns * 1e-9 - self.start_s) / self.ramp_s
+        return np.where(self.during(t_ns), share, 0.0)
+
+
+class SensorStuck(SensorFault, tag="sensor_stuck", kw_only=True):
+    """It repeats its last count."""
+
+
+class SensorDead(SensorFault, tag="sensor_dead", kw_only=True):
+    """It counts no pulse any more; with ``told`` the unit (a redundant one) notices and says so."""
+
+    told: bool = False
 
 
 AnyFault = (
@@ -156,7 +193,9 @@ AnyFault = (
     | GnssOutlier
     | GnssJump
     | WheelSlip
-    | StuckAccel
+    | SensorBias
+    | SensorStuck
+    | SensorDead
 )
 
 F = TypeVar("F", bound=Fault)

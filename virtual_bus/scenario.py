@@ -20,10 +20,11 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from virtual_bus.crab import Crab
-from virtual_bus.faults import AnyFault
+from virtual_bus.faults import AnyFault, SensorDead, SensorFault
 from virtual_bus.flexure import Flexed, Markov, Wandering
 from virtual_bus.grades import GRADES
 from virtual_bus.manoeuvres import Blend, Manoeuvre, Profile, Static
+from virtual_bus.redundancy import AXES
 from virtual_bus.sway import Sway
 from virtual_bus.tables import (
     BaroTable,
@@ -229,6 +230,7 @@ def _check(file: str, scenario: Scenario) -> None:
             raise ScenarioError(
                 f'{file}: fault[{place}].device: found "{device}", expected one of {", ".join(devices)}'
             )
+    _check_sensors(file, scenario)
     if scenario.navigator.whole_cycle is not None and scenario.imu.dither_hz is None:
         found = scenario.navigator.whole_cycle
         raise ScenarioError(f'{file}: navigator.whole_cycle: found "{found}", expected imu.dither_hz with it')
@@ -237,6 +239,21 @@ def _check(file: str, scenario: Scenario) -> None:
         scenario.profile(2.0 * sum(m.duration_s for m in scenario.manoeuvre))
     except ValueError as error:
         raise ScenarioError(f"{file}: {error}") from error
+
+
+def _check_sensors(file: str, scenario: Scenario) -> None:
+    """Raise ScenarioError where a redundant unit has what only three can, or there is no such sensor."""
+    imu = scenario.imu
+    alone = {"fd": imu.fd, "dither_hz": imu.dither_hz, "inner_arms_mm": imu.inner_arms_mm}
+    for name, found in alone.items():
+        if imu.axes is not None and found:
+            raise ScenarioError(f"{file}: imu.{name}: found {found}, expected it without imu.axes")
+    count = 3 if imu.axes is None else len(AXES[imu.axes])
+    for place, fault in enumerate(scenario.fault):
+        if isinstance(fault, SensorFault) and fault.number > count:
+            raise ScenarioError(f"{file}: fault[{place}].number: found {fault.number}, expected 1 to {count}")
+        if isinstance(fault, SensorDead) and fault.told and imu.axes is None:
+            raise ScenarioError(f"{file}: fault[{place}].told: found true, expected imu.axes with it")
 
 
 def _explain(document: dict[str, Any], message: str) -> str:

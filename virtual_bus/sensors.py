@@ -16,8 +16,18 @@ from numpy.typing import NDArray
 
 from virtual_bus.arrangement import Arrangement
 from virtual_bus.ellipsoid import G0, axes_eg, axes_eh, to_geodetic
-from virtual_bus.faults import Faults, GnssJump, GnssOutage, GnssOutlier, StuckAccel, WheelSlip
+from virtual_bus.faults import (
+    Faults,
+    GnssJump,
+    GnssOutage,
+    GnssOutlier,
+    SensorBias,
+    SensorDead,
+    SensorStuck,
+    WheelSlip,
+)
 from virtual_bus.grades import DEG_PER_H, DEG_PER_SQRT_H, REFERENCE_DEG_C, UG, Grade, ImuErrors
+from virtual_bus.redundancy import NO_COUNT
 from virtual_bus.truth import Trajectory
 
 Array = NDArray[np.float64]
@@ -107,7 +117,7 @@ def _polynomial(rows: Array, away: Array, n: int) -> Array:
 
 
 class Imu:
-    """As many gyros as accelerometers (three on a bus) giving pulse counts, arranged in some way."""
+    """As many gyros as accelerometers giving pulse counts, arranged in some way."""
 
     def __init__(
         self,
@@ -148,7 +158,7 @@ class Imu:
         self._quantiser = Quantiser(self._sensors)
 
     def block(self, t_ns: Times) -> tuple[Counts, NDArray[np.bool_]]:
-        """Counts (n-1, 6), gyros first, and saturation flags, between times ``t_ns`` (n,).
+        """Counts (n-1, 6 or more), gyros first, and saturation flags, between times ``t_ns`` (n,).
 
         A count beyond 16 bits is cut off and flagged, and the excess is lost, as in a real counter.
         """
@@ -165,6 +175,9 @@ class Imu:
         place = ((np.arange(len(dt)) + 0.5) / len(dt))[:, None]
         bias = np.concatenate((gyro.bias, accel.bias)) + before + (after - before) * place
         bias += np.concatenate(drift, axis=1)
+        for more in self._faults.of(SensorBias):
+            size = (more.bias_deg_per_h or 0.0) * DEG_PER_H + (more.bias_ug or 0.0) * UG
+            bias[:, more.column(n)] += size * more.share((t_ns[:-1] + t_ns[1:]) // 2)
         out += bias * dt + self._random_walk * np.sqrt(dt) * self._rng.standard_normal(out.shape)
         # the size of a positive pulse and of a negative one differ by the asymmetry
         asymmetry = np.concatenate((gyro.asymmetry, accel.asymmetry))
@@ -173,11 +186,13 @@ class Imu:
         counts = self._quantiser.pulses(out)
         saturated = np.abs(counts) > COUNT_MAX
         counts = np.clip(counts, -COUNT_MAX, COUNT_MAX)
-        for stuck in self._faults.of(StuckAccel):
+        for stuck in self._faults.of(SensorStuck):
             during = stuck.during(t_ns[1:])
             if during.any():
-                first, column = int(np.argmax(during)), self._sensors // 2 + stuck.axis
+                first, column = int(np.argmax(during)), stuck.column(n)
                 counts[during, column] = counts[first - 1, column] if first else self._last[column]
+        for dead in self._faults.of(SensorDead):
+            counts[dead.during(t_ns[1:]), dead.column(n)] = NO_COUNT if dead.told else 0
         self._last = counts[-1]
         return counts, saturated
 

@@ -82,7 +82,8 @@ class ImuTable(DeviceTable):
     """``[imu]``. Its clock starts 100 s before its 32-bit microseconds wrap.
 
     ``dither_hz`` of laser gyros: each is latched at whole cycles of its own. ``inner_arms_mm`` is where
-    each accelerometer sits, right, forward and up of the unit's origin. From the first instant on it warms up
+    each accelerometer sits, right, forward and up of the unit's origin. A redundant unit has more than three
+    of each along ``axes``: "cone" six, "skew" five. From the first instant on it warms up
     from one ``temperature_deg_c`` to the other with the time constant ``warm_up_s``.
     """
 
@@ -92,6 +93,7 @@ class ImuTable(DeviceTable):
     warm_up_s: Positive = 600.0
     dither_hz: tuple[DitherHz, DitherHz, DitherHz] | None = None
     inner_arms_mm: tuple[Three, Three, Three] | None = None
+    axes: Literal["cone", "skew"] | None = None
     clock_offset_s: NotNegative = 4194.967296
 
 

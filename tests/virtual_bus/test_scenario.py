@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bridge.calibration import read_calibration
+from bridge.calibration import CalibrationFile
+from bridge.calibration_sensors import read_unit
 from bridge.config import Config
 from virtual_bus import scenario
 from virtual_bus.bus import CALIBRATION, Bench
@@ -50,19 +51,19 @@ def test_a_packaged_scenario_runs_and_its_configuration_loads(name, tmp_path):
     config = Config.load(tmp_path / "config.toml")
     assert set(config.devices) == set(bench.scenario.devices())
     assert {sink.type for sink in config.sinks.values()} == {"can_solution", "mavlink"}
-    calibration = read_calibration(config.files[CALIBRATION], CALIBRATION)
-    assert calibration.serial == bench.imu_errors.serial
-    sheet = bench.imu_errors
-    pairs = (
-        (calibration.calibration.gyro_bias, sheet.calibrated_gyro.bias, DEG_PER_H),
-        (calibration.calibration.accel_bias, sheet.calibrated_accel.bias, UG),
-        (calibration.calibration.gyro_axes, sheet.calibrated_gyro.axes, ARCSEC),
-        (calibration.calibration.gyro_scale_plus, sheet.calibrated_gyro.scale, 1e-6 * ARCSEC),
-        (calibration.calibration.accel_scale_plus, sheet.calibrated_accel.scale, 1e-9),
-        (calibration.calibration.gyro_g, sheet.calibrated_gyro.g_sensitivity, DEG_PER_H),
-    )
-    for read, written, unit in pairs:
-        assert read == pytest.approx(written, abs=1e-9 * unit)
+    file = read_unit(config.files[CALIBRATION], CALIBRATION)
+    assert file.serial == bench.imu_errors.serial
+    if isinstance(file, CalibrationFile):
+        c = file.calibration
+        read = (c.gyro_bias, c.accel_bias, c.gyro_axes, c.gyro_scale_plus, c.accel_scale_plus, c.gyro_g)
+    else:
+        g, a = file.gyros, file.accels
+        read = (g.bias, a.bias, g.axes, g.scale_plus, a.scale_plus, g.g_sensitivity)
+    gyro, accel = bench.imu_errors.calibrated_gyro, bench.imu_errors.calibrated_accel
+    written = (gyro.bias, accel.bias, gyro.axes, gyro.scale, accel.scale, gyro.g_sensitivity)
+    units = (DEG_PER_H, UG, ARCSEC, 1e-6 * ARCSEC, 1e-9, DEG_PER_H)
+    for found, expected, unit in zip(read, written, units, strict=True):
+        assert found == pytest.approx(expected, abs=1e-9 * unit)
 
 
 def test_lever_arms_are_told_in_imu_axes():

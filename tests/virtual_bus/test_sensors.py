@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from tests.virtual_bus.conftest import trajectory_of
 from virtual_bus import ellipsoid
-from virtual_bus.faults import Faults, GnssJump, GnssOutage, GnssOutlier, StuckAccel, WheelSlip
+from virtual_bus.faults import Faults, GnssJump, GnssOutage, GnssOutlier, SensorStuck, WheelSlip
 from virtual_bus.grades import ARCSEC, DEG_PER_H, DEG_PER_SQRT_H, GRADES, UG, draw_imu, ideal_imu
 from virtual_bus.manoeuvres import Accelerate, STurns
 from virtual_bus.sensors import (
@@ -325,7 +325,7 @@ def test_gnss_faults(rest):
 
 def test_a_stuck_accelerometer_repeats_itself(ride):
     grade = GRADES["mems"]
-    fault = StuckAccel(start_s=7.0, duration_s=2.0, axis=1)
+    fault = SensorStuck(start_s=7.0, duration_s=2.0, sensor="accel", number=2)
     imu = Imu(ride, grade, ideal_imu(grade), generator(1, "imu"), Faults([fault]))
     counts = np.concatenate([imu.block(t)[0] for t in blocks(12_000_000_000, 5_000_000, 200)])
     t = np.arange(1, len(counts) + 1) * 5_000_000
