@@ -93,7 +93,7 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         "--grade",
         action="append",
         metavar="NAME",
-        help="fog, mems, rlg (default: all three) or, for plans with second-order terms, dtg; may be given again",
+        help="fog, mems, rlg (default: all) or, with a plan of second-order terms, dtg; may be given again",
     )
     units.add_argument(
         "--site",

@@ -15,7 +15,7 @@ from bridge.drivers.can_frames import intact, repeated
 from bridge.drivers.counters import Counters
 from bridge.drivers.device_clock import ClockPort
 from bridge.drivers.imu_assembly import FRAME_BYTES, assemble, layout
-from bridge.drivers.imu_corrections import latches, size_effect
+from bridge.drivers.imu_corrections import latches, size_effect, warmth
 from bridge.drivers.imu_parts import Parts
 from bridge.drivers.imu_redundant import MESSAGES, RedundantOptions, fusion_of
 from bridge.frame import RawFrame
@@ -94,6 +94,7 @@ class ImuCan:
         self._bridge = options.bridge_samples
         self._latches = latches(options.whole_cycle, options.id_offset, context, self._counters)
         self._size = None if three is None else size_effect(three)
+        self._warmth = None if three is None else warmth(three, self._table)
 
         names = ("IMU_GYRO", "IMU_ACCEL") if self._fusion is None else MESSAGES
         codecs = [context.message(name) for name in names]
@@ -232,15 +233,20 @@ class ImuCan:
         self._fd_data = data
         values = codec.decode(data)
         flags = _SATURATED if any(values[:6]) else 0
-        sample, time_us, _, status, _, serial = values[12:]
+        sample, time_us, temperature, status, _, serial = values[12:]
         self._check_serial(int(serial))
+        if self._warmth is not None:
+            self._warmth.told(temperature)
         counts = np.array(values[6:12], dtype=np.float64)
         return self._sample(self._fd, (int(status), int(sample), int(time_us)), counts, flags, rx_ns)
 
     def _feed_status(self, data: bytes) -> tuple[()]:
         codec = self._status_codec
         if intact(codec, data, self._counters):
-            self._check_serial(int(codec.decode(data)[2]))
+            temperature, _, serial = codec.decode(data)
+            self._check_serial(int(serial))
+            if self._warmth is not None:
+                self._warmth.told(temperature)
         return ()
 
     def _check_serial(self, serial: int) -> None:

@@ -1,7 +1,8 @@
 """What some inertial units need besides the compensation of pulses: each is there or is None.
 
 Latch times of dithered laser gyros come on CAN, and counts are corrected by them before they are compensated;
-the size effect of accelerometers that sit apart is taken off afterwards.
+the size effect of accelerometers that sit apart is taken off afterwards. Where scales and biases go with
+temperature, they are those at the one that the unit told last.
 """
 
 from __future__ import annotations
@@ -47,6 +48,27 @@ def size_effect(calibration: Calibration) -> SizeEffect | None:
     effect.take_off(np.zeros(3), np.zeros(3), 1.0)
     effect.restart()
     return effect
+
+
+def warmth(calibration: Calibration, table: Vector) -> Warmth | None:
+    """What keeps ``table``, its coefficients, at the unit's temperature; None where that does not matter."""
+    return None if calibration.thermal is None else Warmth(calibration, table)
+
+
+class Warmth:
+    """Scales and biases in a `Calibration.table`: at the reference till the unit tells its temperature."""
+
+    def __init__(self, calibration: Calibration, table: Vector) -> None:
+        self._calibration = calibration
+        self._table = table
+        self._last = np.nan
+
+    def told(self, temperature: float) -> None:
+        """From here on the unit has ``temperature`` degC."""
+        if temperature != self._last:
+            self._last = temperature
+            values = self._calibration.scales_and_biases(temperature)
+            self._table[: len(values)] = values
 
 
 class Latches:
