@@ -28,10 +28,7 @@ from bridge.outputs import (
     Checkpoint,
     FixOut,
     Health,
-    Innovation,
-    ModeChange,
     Output,
-    Progress,
     Reject,
     Severity,
     SolutionOut,
@@ -39,6 +36,7 @@ from bridge.outputs import (
     Transmit,
     sensors_changed,
 )
+from bridge.said import said
 from bridge.silence import Silence
 from bridge.warm import warm_up
 from bridge.wire import message
@@ -185,8 +183,8 @@ class Engine:
                     elif type(sample) is ImuChange:
                         out += sensors_changed(self._now, sample)
                     for line in lines:
-                        if said := line.navigator.step(sample):
-                            self._take_all(line, said, out)
+                        if heard := line.navigator.step(sample):
+                            self._take_all(line, heard, out)
         elif source == BRIDGE:
             self._event(frame, out)
         elif source not in self.peers:
@@ -206,9 +204,9 @@ class Engine:
                 self._closed.append(checkpoint)
         self._unchained.clear()
 
-    def _take_all(self, line: _Line, said: Sequence[events.NavEvent], out: list[Output]) -> None:
+    def _take_all(self, line: _Line, heard: Sequence[events.NavEvent], out: list[Output]) -> None:
         """Put what a navigator said into the outputs' words."""
-        for event in said:
+        for event in heard:
             if type(event) is Solution:
                 out.append(SolutionOut(line.name, event, self._now))
                 self._unchained.append((line.chain, event))
@@ -216,37 +214,13 @@ class Engine:
                 self._take(line, event, out)
 
     def _take(self, line: _Line, event: events.NavEvent, out: list[Output]) -> None:
+        output = said(line.name, event)
+        if output is not None:
+            out.append(output)
         match event:
             case events.Innovation():
                 if not event.accepted and event.kind in line.sensors:
                     line.sensors[event.kind].reject(Reject.GATE)
-                out.append(
-                    Innovation(
-                        event.t_ns,
-                        line.name,
-                        event.kind,
-                        event.residual,
-                        event.sigma,
-                        event.nis,
-                        event.accepted,
-                    )
-                )
-            case events.ModeChange():
-                out.append(ModeChange(event.t_ns, line.name, event.old, event.new, event.reason))
-            case events.AlignmentProgress():
-                out.append(
-                    Progress(
-                        event.t_ns,
-                        line.name,
-                        "alignment",
-                        event.progress,
-                        event.sigma,
-                        event.method,
-                        event.limit,
-                        event.behind,
-                        event.restarts,
-                    )
-                )
             case events.Refusal():
                 reason = _REFUSALS.get(event.reason)
                 if reason is not None and event.device in self._drivers:

@@ -11,13 +11,15 @@ import numpy as np
 from bridge.config import Config
 from bridge.drivers import DRIVERS
 from bridge.errors import ConfigError
-from bridge.options import NavigatorOptions
+from bridge.options import NavigatorOptions, Three, TransferOptions
 from bridge.strict import unknown, wrong
-from nav.align import ALIGNMENTS, AlignConfig, lack
+from nav.align import AlignConfig, lack
+from nav.align.types import TransferConfig
 from nav.filter.settings import align_config, sensors_align
 from nav.navigator import ImuErrors, Navigator, NavigatorConfig
 from nav.rotation import dcm_from_euler, quat_from_dcm
 from nav.strapdown.azimuth import AZIMUTH_LAWS
+from nav.transfer import alignment, methods
 from nav.types import Vector
 
 _DEG: Final = math.pi / 180.0
@@ -55,8 +57,8 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
     options = config.navigators[name]
     kinds = provided(name, config)
     key = f"navigator.{name}"
-    if options.alignment not in ALIGNMENTS:
-        raise unknown(config.file, f"{key}.alignment", options.alignment, ALIGNMENTS)
+    if options.alignment not in methods():
+        raise unknown(config.file, f"{key}.alignment", options.alignment, methods())
     imus = kinds.get("imu", [])
     if len(imus) != 1:
         found = ", ".join(imus) or "no IMU"
@@ -73,7 +75,7 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         default=0.0,
     )
     align = _align(config.file, key, options, errors, C_vb, quantum)
-    _check_needs(config.file, key, options.alignment, lack(ALIGNMENTS[options.alignment], kinds, align))
+    _check_needs(config.file, key, options.alignment, lack(alignment(options.alignment), kinds, align))
     rolls = "odometer" in kinds
     moves = rolls or "speed" in kinds
     return NavigatorConfig(
@@ -122,7 +124,7 @@ def lacking(name: str, config: Config) -> dict[str, str]:
     """
     kinds = provided(name, config)
     align = align_config(navigator_config(name, config))
-    return {method: lack(alignment, kinds, align) for method, alignment in ALIGNMENTS.items()}
+    return {method: lack(alignment(method), kinds, align) for method in methods()}
 
 
 def _check_needs(file: str, key: str, alignment: str, lacks: str) -> None:
@@ -158,10 +160,34 @@ def _patience(timeout_s: float, provided: bool) -> float | None:
 
 
 def _mounting(options: NavigatorOptions) -> Vector | None:
-    if isinstance(options.mounting_deg, str):
-        return None
-    pitch, roll, heading = (angle * _DEG for angle in options.mounting_deg)
+    return None if isinstance(options.mounting_deg, str) else _turned(options.mounting_deg)
+
+
+def _turned(angles_deg: Three) -> Vector:
+    """What takes axes that are at this pitch, roll and heading in others to these."""
+    pitch, roll, heading = (angle * _DEG for angle in angles_deg)
     return dcm_from_euler(heading, pitch, roll)
+
+
+def _transfer(table: TransferOptions) -> TransferConfig:
+    return TransferConfig(
+        lever_arm=np.array(table.lever_arm_m),
+        sigma_lever_arm=table.lever_arm_sigma_m,
+        C_ab=_turned(table.mounting_deg),
+        sigma_mounting=np.full(3, table.mounting_sigma_deg * _DEG),
+        sigma_velocity=table.velocity_noise_m_s,
+        sigma_attitude=table.attitude_noise_mrad * 1e-3,
+        sigma_position=table.position_noise_m,
+        sigma_rate=table.rate_noise_deg_per_s * _DEG,
+        latency=table.latency_sigma_ms * 1e-3,
+        latest_s=table.latest_ms * 1e-3,
+        flexure=None if table.flexure_mrad is None else 1e-3 * np.array(table.flexure_mrad),
+        flexure_time=np.array(table.flexure_s),
+        duration=table.duration_s,
+        sigma=1e-3 * np.array(table.sigma_mrad),
+        patience=table.patience_s,
+        lockout=table.lockout_s,
+    )
 
 
 def imu_errors(options: NavigatorOptions) -> ImuErrors:
@@ -232,4 +258,5 @@ def _align(
         odometer_walk=options.odometer_walk_m_per_sqrt_m,
         sigma_mounting=options.mounting_sigma_deg * _DEG,
         slip=table.slip_m_s,
+        transfer=_transfer(options.transfer),
     )

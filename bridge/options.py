@@ -151,6 +151,40 @@ class HeightChannel(Table):
     time_constant_s: Annotated[float, Meta(gt=0.0, le=500.0)] = 30.0
 
 
+class TransferOptions(Table):
+    """``[navigator.NAME.transfer]``: of the master that a transfer alignment (``transfer_...``) follows.
+
+    ``lever_arm_m`` goes from the master's point to the IMU, in the master's axes (right, forward, up);
+    ``mounting_deg`` is pitch, roll and heading of the IMU on the master's axes, one sigma about each of these
+    ``mounting_sigma_deg``. The ``noise`` is that of one message, independent of the next. Its dating is late
+    by a constant of ``latency_sigma_ms``; a message older than ``latest_ms`` is of no use.
+
+    ``flexure_mrad``, about right, forward and up, which is forgotten within ``flexure_s``, is estimated where
+    it is given; otherwise it belongs into the noise of the attitude.
+
+    It takes ``duration_s`` at least, until the attitude relative to the master is known to ``sigma_mrad``
+    about east, north and up, and refuses after ``patience_s``, or when the master agrees with nothing for
+    ``lockout_s``.
+    """
+
+    lever_arm_m: Three = (0.0, 0.0, 0.0)
+    lever_arm_sigma_m: NotNegative = 0.02
+    mounting_deg: Three = (0.0, 0.0, 0.0)
+    mounting_sigma_deg: Positive = 0.5
+    velocity_noise_m_s: Positive = 0.02
+    attitude_noise_mrad: Positive = 0.3
+    position_noise_m: Positive = 2.0
+    rate_noise_deg_per_s: Positive = 0.06
+    latency_sigma_ms: NotNegative = 5.0
+    latest_ms: Positive = 500.0
+    flexure_mrad: Sigmas | None = None
+    flexure_s: tuple[Positive, Positive, Positive] = (0.5, 0.5, 0.5)
+    duration_s: Positive = 5.0
+    sigma_mrad: tuple[Positive, Positive, Positive] = (2.0, 2.0, 2.0)
+    patience_s: Positive = 3600.0
+    lockout_s: Positive = 2.0
+
+
 class NavigatorOptions(Table):
     """``[navigator.NAME]``: who is heard, how it starts, and where things are.
 
@@ -216,4 +250,5 @@ class NavigatorOptions(Table):
     samples_per_update: Annotated[int, Meta(ge=1, le=6)] = 2
     imu_errors: ImuErrors = field(default_factory=ImuErrors)
     align: AlignOptions = field(default_factory=AlignOptions)
+    transfer: TransferOptions = field(default_factory=TransferOptions)
     height_channel: HeightChannel | None = None

@@ -75,6 +75,27 @@ class Progress:
     restarts: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Transfer:
+    """What a navigator that is aligned from a master knows relative to it; rad.
+
+    ``sigma`` (3,) of phi about east, north, up; ``mounting`` (3,) about right, forward, up, what the slave is
+    turned beyond what is configured, to ``sigma_mounting`` (3,). ``observability``: by name of a state, what
+    is left of its first sigma. ``hint``: a manoeuvre that would help, or nothing. ``quality`` 0 to 1: share
+    of the late messages that agreed.
+    """
+
+    t_ns: int
+    navigator: str
+    matching: str
+    sigma: tuple[float, float, float]
+    mounting: tuple[float, float, float]
+    sigma_mounting: tuple[float, float, float]
+    observability: tuple[tuple[str, float], ...]
+    hint: str
+    quality: float
+
+
 class FixOut(NamedTuple):
     """A GNSS fix as its driver assembled it, before any gate; for those who show or log it."""
 
@@ -210,6 +231,7 @@ Output = (
     SolutionOut
     | ModeChange
     | Progress
+    | Transfer
     | FixOut
     | Innovation
     | SensorsOut

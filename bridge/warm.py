@@ -9,13 +9,16 @@ from typing import Final
 import numpy as np
 
 from bridge.digest import canonical_row
-from nav.align import ALIGNMENTS, AlignConfig, NavInit
+from nav.align import AlignConfig, NavInit
+from nav.align.types import TransferConfig
 from nav.navigator import ImuErrors, Navigator, NavigatorConfig
+from nav.transfer import methods
 from nav.types import (
     BaroSample,
     FixType,
     GnssFix,
     ImuSample,
+    MasterState,
     Mode,
     OdoSample,
     S,
@@ -30,7 +33,7 @@ _RADIUS: Final = 6.37e6
 
 
 @cache
-def warm_up(alignments: frozenset[str] = frozenset(ALIGNMENTS)) -> None:
+def warm_up(alignments: frozenset[str] = frozenset(methods())) -> None:
     """Drive throw-away navigators through everything that a real one may do, a few seconds each.
 
     ``alignments`` are the names of those that can come to pass.
@@ -68,6 +71,7 @@ def _config(alignment: str, C_vb: np.ndarray | None, scale: float) -> NavigatorC
             fine_s=0.5,
             C_vb=C_vb,
             rest_s=0.5,
+            transfer=TransferConfig(flexure=np.full(3, 1e-3), duration=1.0, sigma=np.full(3, 1.0)),
         ),
     )
 
@@ -109,8 +113,12 @@ def _journey() -> list[Sample]:
         if k % 20 == 0:
             samples.append(SpeedSample(t_ns, speed, 0.1, "speed"))
             samples.append(BaroSample(t_ns, 0.0, 1.0, "baro"))
+        lat, v_g, sigma = _LAT + north / _RADIUS, np.array([0.0, speed, 0.0]), np.ones(3)
+        if k % 10 == 0:
+            level, f = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, force, 9.81])
+            own = (sigma, 0.1 * sigma, 1e-3 * sigma)
+            samples.append(MasterState(t_ns, lat, 0.0, 0.0, v_g, level, rate, f, *own, True, "master"))
         if k % 40 == 0:
-            lat, v_g, sigma = _LAT + north / _RADIUS, np.array([0.0, speed, 0.0]), np.ones(3)
             late_ns = t_ns - (k % 3) * 10 * _DT_NS
             samples.append(GnssFix(late_ns, lat, 0.0, 0.0, sigma, v_g, 0.1 * sigma, FixType.FIX_3D, "gnss"))
     return samples

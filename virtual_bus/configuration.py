@@ -51,6 +51,8 @@ _TICKS_S: Final = 0.2
 _SHARP_RAD_S: Final = 0.5
 """A sharp turn: 90 degrees in seven seconds at its quickest."""
 _ALIGN_MARGIN_S: Final = 4.0
+_TRANSFER_S: Final = 5.0
+_TRANSFER_MRAD: Final = 1.0
 _COARSE_S: Final = 60.0
 _FINE_S: Final = 240.0
 
@@ -172,6 +174,41 @@ def _temperature(triad: Triad, unit: str, size: float) -> list[str]:
     ]
 
 
+def _transfer(s: Scenario) -> list[str]:
+    """What a slave is told of its master: its noise with that of what shakes the slave, and what bends."""
+    master = s.master
+    if master is None:
+        return []
+    bends, shake, shakes = [], 0.0, 0.0
+    if s.flexure is not None:
+        shake = max(s.flexure.vibration_mrad)
+        shakes = 2.0 * math.pi * s.flexure.vibration_hz * shake  # mrad/s
+        bends = [
+            f"flexure_mrad = {list(s.flexure.sigma_mrad)!r}",
+            f"flexure_s = {list(s.flexure.correlation_s)!r}",
+        ]
+    swing = 1e-3 * shakes * float(np.linalg.norm(s.lever_arm()))
+    noise = {
+        "mounting_sigma_deg": max(0.01, s.vehicle.mounting_sigma_deg),
+        "velocity_noise_m_s": max(0.001, math.hypot(master.velocity_noise_m_s, swing)),
+        "attitude_noise_mrad": max(0.01, math.hypot(master.attitude_noise_mrad, shake)),
+        "position_noise_m": max(0.01, master.position_noise_m),
+        "rate_noise_deg_per_s": max(
+            1e-3, math.hypot(master.rate_noise_deg_per_s, math.degrees(1e-3 * shakes))
+        ),
+    }
+    return [
+        "",
+        "[navigator.main.transfer]",
+        f"lever_arm_m = {_vector(s.lever_arm())}",
+        f"mounting_deg = {_vector(np.array(s.vehicle.mounting_deg))}",
+        *(f"{key} = {value!r}" for key, value in noise.items()),
+        *bends,
+        f"duration_s = {s.navigator.alignment_s or _TRANSFER_S!r}",
+        f"sigma_mrad = {[_TRANSFER_MRAD] * 3!r}",
+    ]
+
+
 def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
     """A configuration of the bridge for the bench that ``wiring`` describes."""
     s = wiring.scenario
@@ -208,7 +245,11 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         lines += _device("baro", "baro_can", s.baro, [f"sigma_m = {max(0.01, s.baro.noise_m)!r}"])
 
     v = s.vehicle
-    C_bv = mounting_matrix(*v.mounting_deg).T
+    # a slave is a vehicle of its own, its axes the IMU's
+    mounting_deg, sigma_deg = (
+        (v.mounting_deg, v.mounting_sigma_deg) if s.master is None else ((0.0,) * 3, 0.0)
+    )
+    C_bv = mounting_matrix(*mounting_deg).T
     imu_at = np.array(v.imu_m)
     arms = {
         "gnss_lever_arm_m": np.array(v.antenna_m),
@@ -218,7 +259,8 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
     coarse_s, fine_s = alignment_s(s.rest_s(), s.navigator.alignment_s)
     place_deg_m = (s.start.lat_deg, s.start.lon_deg, s.start.height_m)
     # the simulated vehicle stands as still as a pulse of the accelerometers can say, or never
-    still = wiring.grade.accel_m_s_per_pulse if s.sway is None else 0.0
+    stands = s.sway is None and s.start.speed_m_s == 0.0
+    still = wiring.grade.accel_m_s_per_pulse if stands else 0.0
     known = [f"zero_velocity_sigma_m_s = {still!r}"]
     if s.gnss is not None and max(s.gnss.correlated_m) > 0.0:
         known.append(f"gnss_correlated_m = {list(s.gnss.correlated_m)!r}")
@@ -232,29 +274,34 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         # a Markov process in the short run
         wander = s.baro.drift_m * math.sqrt(2.0 / s.baro.correlation_s)
         known.append(f"barometer_wander_m_per_sqrt_s = {wander!r}")
-    mounting = '"find"' if s.navigator.find_mounting else _vector(np.array(v.mounting_deg))
+    mounting = '"find"' if s.navigator.find_mounting else _vector(np.array(mounting_deg))
     lines += [
         "[navigator.main]",
         "devices = [" + ", ".join(_text(name) for name in s.devices()) + "]",
         f"alignment = {_text(s.navigator.alignment)}",
         f"autostart = {str(s.navigator.autostart).lower()}",
         f"mounting_deg = {mounting}",
-        f"mounting_sigma_deg = {v.mounting_sigma_deg!r}",
+        f"mounting_sigma_deg = {sigma_deg!r}",
         f"non_holonomic = {str(s.navigator.non_holonomic).lower()}",
         f"non_holonomic_sigma_m_s = {max(1e-6, off_road_m_s(wiring.grade, math.hypot(*v.imu_m)))!r}",
         # white over longer distances than its shortest wave
         f"sideways_walk_m_per_sqrt_m = {math.radians(v.crab_deg) * math.sqrt(0.5 * CRAB_SHORTEST)!r}",
-        *(f"{key} = {_vector(C_bv @ (place - imu_at))}" for key, place in arms.items()),
+        *(f"{key} = {_vector(C_bv @ (point - imu_at))}" for key, point in arms.items()),
         *known,
         "",
         "[navigator.main.align]",
         f"coarse_s = {coarse_s!r}",
         f"fine_s = {fine_s!r}",
         *([] if s.sway is None else [f"sway_m_s = {max(0.001, s.sway.speed_m_s(v.imu_m))!r}"]),
-        *([] if s.gnss is not None else [f"position_deg_m = {_vector(np.array(place_deg_m))}"]),
+        *(
+            []
+            if s.gnss is not None or s.master is not None
+            else [f"position_deg_m = {_vector(np.array(place_deg_m))}"]
+        ),
         "",
         "[navigator.main.imu_errors]",
         *(f"{key} = {value!r}" for key, value in imu_errors(wiring.grade).items()),
+        *_transfer(s),
         "",
         "[sink.solution]",
         'type = "can_solution"',

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 import msgspec
@@ -78,7 +77,7 @@ def scenario_of(manoeuvre: str, base: Scenario | None = None) -> Scenario:
 
     Raises KeyError where there is no such flight.
     """
-    base = base or load(Path(__file__).parent / "transfer.toml")
+    base = base or load("transfer")
     flight = FLIGHTS[manoeuvre]
     replace = msgspec.structs.replace
     return replace(
