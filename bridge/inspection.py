@@ -30,7 +30,7 @@ from bridge.recording import Capture
 from bridge.recording_format import LATENCY
 from dbc.busload import FD_LENGTHS, classic_bits, fd_bits
 from dbc.codec import MessageCodec
-from nav.types import Sample, Vector
+from nav.types import ImuChange, Sample, Vector
 
 _GAP: Final = 1.5
 """An interval longer than this many typical ones is a gap."""
@@ -150,6 +150,7 @@ class _Reading:
     def __init__(self, drivers: dict[str, Driver], config: Config | None) -> None:
         self.drivers = drivers
         self.samples: dict[str, list[Sample]] = {name: [] for name in drivers}
+        self.changes: dict[str, list[ImuChange]] = {name: [] for name in drivers}
         self.times: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
         self.lengths: defaultdict[tuple[int, int], Counter[int]] = defaultdict(Counter)
         self.events: Counter[int] = Counter()
@@ -194,7 +195,11 @@ class _Reading:
         self._now_ns = max(self._now_ns, frame.rx_ns)
         frame = frame._replace(rx_ns=self._now_ns)
         for name in takers:
-            self.samples[name].extend(self.drivers[name].feed(frame))
+            for sample in self.drivers[name].feed(frame):
+                if isinstance(sample, ImuChange):
+                    self.changes[name].append(sample)
+                else:
+                    self.samples[name].append(sample)
         if place in self._sigmas:
             self._look_at_sigmas(*self._sigmas[place], frame.data)
 
@@ -345,6 +350,7 @@ def _judge(reading: _Reading, config: Config | None) -> Iterator[Finding]:
             yield Finding(name, f"samples come at {rate:.4g} Hz, rate_hz says {expected:g}")
         yield from _silences(name, [sample.t_ns for sample in samples], reading.begin_ns, reading.end_ns)
         yield from checks.check_baro(name, samples)
+        yield from checks.check_sensors(name, reading.changes[name], reading.begin_ns)
     for navigator in config.navigators.values():
         imus = {name: checks.imu_columns(reading.samples[name]) for name in navigator.devices}
         fixes = {name: checks.fix_columns(reading.samples[name]) for name in navigator.devices}

@@ -14,8 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.outputs import UnitHealth
 from nav.earth import convergence, ecef
-from nav.types import BaroSample, GnssFix, ImuSample, OdoSample, Sample, SpeedSample, Vector
+from nav.types import BaroSample, GnssFix, ImuChange, ImuSample, OdoSample, Sample, SpeedSample, Vector
 
 G: Final = 9.80665
 _DEG: Final = math.pi / 180.0
@@ -26,6 +27,7 @@ _WINDOW_S: Final = 1.0
 _REST_RATE: Final = 3.0 * _DEG  # rad/s, more than the bias of any gyro worth using
 _MIN_SEGMENTS: Final = 8
 _STRETCH_S: Final = 2.0
+_CHANGES: Final = 12  # of the sensors in use, that are listed
 _SAME_NORTH: Final = 0.1  # rad that true north may turn by within a stretch
 
 UNIT_RATIOS: Final = (
@@ -341,3 +343,12 @@ def check_baro(device: str, samples: Sequence[Sample]) -> Iterator[Finding]:
             device,
             f"pressure altitude is {np.median(heights):.4g} m, expected -1000 to 30000; perhaps hPa for Pa",
         )
+
+
+def check_sensors(device: str, changes: Sequence[ImuChange], begin_ns: int) -> Iterator[Finding]:
+    """Sensors of a redundant unit that its driver does not trust, in the order in which that changed."""
+    for change in changes[:_CHANGES]:
+        words = ", ".join(UnitHealth(change.t_ns, *change[2:6]).words()) or "all sensors in use again"
+        yield Finding(device, f"{words}, {(change.t_ns - begin_ns) / 1e9:.1f} s after the start")
+    if len(changes) > _CHANGES:
+        yield Finding(device, f"and {len(changes) - _CHANGES} more changes of the sensors in use")

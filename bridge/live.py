@@ -20,7 +20,7 @@ from bridge.clock import Clock, WallClock
 from bridge.digest import combine
 from bridge.frame import BRIDGE, Event, RawFrame
 from bridge.latency import Latency
-from bridge.outputs import Checkpoint, Health, Output, SolutionOut, Transmit
+from bridge.outputs import Checkpoint, Health, Output, SensorsOut, SolutionOut, Transmit
 from bridge.recording import Recorder
 from bridge.recording_format import HEALTH, LATENCY
 from bridge.sources.base import Source
@@ -29,6 +29,7 @@ _TICK_NS: Final = 100_000_000
 _POLL_NS: Final = 1_000_000  # for sources that have no file descriptor to wait on
 _BUDGET_NS: Final = 20_000_000  # of one source's drain, before the others get their turn
 _LATENCY_NS: Final = 10_000_000_000
+_SENSOR_LINES: Final = 20  # of what redundant units had to say
 
 
 class Engine(Protocol):
@@ -74,6 +75,8 @@ class Outcome:
     digests: dict[str, str]
     counters: dict[str, dict[str, int]]
     latency: dict[str, dict[str, float]]
+    sensors: tuple[str, ...] = ()
+    """What there was to say of redundant units, each with its time since the start."""
 
 
 class Live:
@@ -103,6 +106,8 @@ class Live:
         self._bench = bench
         self._latency = Latency()
         self._latency_ns = 0
+        self._start_ns = 0
+        self._sensors: list[str] = []
         self._seq = 0
         self._last_ns = 0
         self._stop: str | None = None
@@ -115,7 +120,7 @@ class Live:
         """Run for ``seconds`` of the clock, until the bench has nothing more, a signal or `stop`."""
         clock = self._clock
         with signals(self.stop):
-            start_ns = self._last_ns = self._latency_ns = clock.monotonic_ns()
+            start_ns = self._start_ns = self._last_ns = self._latency_ns = clock.monotonic_ns()
             end_ns = None if seconds is None else start_ns + round(seconds * 1e9)
             self._event(start_ns, Event.START, {"utc_ns": clock.utc_ns(), "monotonic_ns": start_ns})
             while self._stop is None:
@@ -191,6 +196,10 @@ class Live:
         for output in outputs:
             if isinstance(output, Transmit):
                 sent += self._send(output)
+            elif isinstance(output, SensorsOut) and len(self._sensors) < _SENSOR_LINES:
+                after_s = (output.health.t_ns - self._start_ns) * 1e-9
+                words = ", ".join(output.health.words()) or "all sensors in use"
+                self._sensors.append(f"{output.device}: {words} after {after_s:.2f} s")
         for sink in self._sinks:
             for transmit in sink.consume(outputs):
                 sent += self._send(transmit)
@@ -223,6 +232,7 @@ class Live:
             digests=digests,
             counters={source.context.name: source.counters() for source in self._sources},
             latency=self._latency.summary(),
+            sensors=tuple(self._sensors),
         )
         if self._recorder is not None:
             self._recorder.finish(
@@ -252,6 +262,7 @@ def health_document(health: Health) -> dict[str, Any]:
                     for key in ("frames", "samples", "missing", "bridged", "duplicates", "rate_hz", "age_ms")
                 },
                 "rejects": {reason.name.lower(): count for reason, count in device.rejects.items()},
+                **({} if device.sensors is None else {"sensors": device.sensors._asdict()}),
             }
             for name, device in health.devices.items()
         },

@@ -80,6 +80,7 @@ def outcome_lines(outcome: Outcome, unrecorded: int) -> Iterator[str]:
     yield f"{outcome.frames} frames in {outcome.seconds:.1f} s: {outcome.reason}"
     for name, counters in outcome.counters.items():
         yield f"{name}: " + ", ".join(f"{key} {value}" for key, value in counters.items())
+    yield from outcome.sensors
     total = outcome.latency["received_to_sent"]
     if total["count"]:
         yield (

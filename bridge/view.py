@@ -180,6 +180,7 @@ def _health(health: Health) -> Picture:
                 "missing": device.missing,
                 "bridged": device.bridged,
                 "rejects": {reason.name.lower(): count for reason, count in device.rejects.items() if count},
+                "sensors": [] if device.sensors is None else device.sensors.words(),
             }
             for name, device in health.devices.items()
         },

@@ -153,14 +153,14 @@ def _device_table(devices: Mapping[str, Picture], losses: Mapping[str, int], wid
         table.add_column(name, justify="left" if name == "device" else "right", no_wrap=True)
     table.add_column("not used")
     for name, device in devices.items():
-        rejects = ", ".join(f"{reason} {count}" for reason, count in device["rejects"].items())
+        rejects = [f"{reason} {count}" for reason, count in device["rejects"].items()]
         table.add_row(
             name,
             f"{device['rate_hz']:.1f}",
             f"{device['age_ms']:.0f}",
             str(device["missing"]),
             str(device["bridged"]),
-            rejects,
+            ", ".join((*device["sensors"], *rejects)),
         )
     if any(losses.values()):
         lost = ", ".join(f"{name} {count}" for name, count in losses.items() if count)

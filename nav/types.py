@@ -86,8 +86,9 @@ class ImuChange(NamedTuple):
     """From ``t_ns`` on a redundant unit is made of other sensors, or others are suspected.
 
     Bits are sensors, the first the lowest: those that are not used (``out``) and those one of which has
-    failed, as far as is known (``suspect``). ``owed`` (2, 3) rad and m/s in b is what samples before lack;
-    ``bias`` (2, 3) rad/s and m/s^2 one sigma of what the biases changed by along each axis of b.
+    failed, as far as is known (``suspect``). ``owed`` (2, 3) rad and m/s in b is what samples before lack,
+    those of about the last ``over`` s; ``bias`` (2, 3) rad/s and m/s^2 one sigma of what the biases changed
+    by along each axis of b.
     """
 
     t_ns: int
@@ -97,6 +98,7 @@ class ImuChange(NamedTuple):
     accels_out: int
     accels_suspect: int
     owed: Vector
+    over: float
     bias: Vector
 
 

@@ -24,7 +24,7 @@ from bridge.strict import Table, plain
 from nav.imu.many import Sensors
 from nav.imu.parity import MOST
 from nav.imu.redundant import Monitor, Noise, Redundant, RedundantUnit
-from nav.imu.redundant_kernel import EXCLUDED
+from nav.imu.redundant_kernel import DETECTED, EXCLUDED
 from nav.types import ImuChange, ImuFlag, Vector
 
 MESSAGES: Final = ("IMU_GYRO", "IMU_GYRO_2", "IMU_ACCEL", "IMU_ACCEL_2")
@@ -100,6 +100,7 @@ class Fusion:
         gyro = (o.gyro_random_walk_deg_per_sqrt_h * _DEG / 60.0, o.gyro_bias_deg_per_h * _GYRO_BIAS)
         accel = (o.accel_random_walk_ug_per_sqrt_hz * _UG, o.accel_bias_ug * _UG)
         monitor = Monitor(false_alarms=o.false_alarms_per_h)
+        self._over = monitor.windows[-1]
         try:
             self._kinds = (
                 _watched(file.gyros, *gyro, o.gyro_scale_ppm * _PPM, rate_hz, monitor),
@@ -179,13 +180,14 @@ class Fusion:
         now = UnitHealth(t_ns, out[0], suspect[0], out[1], suspect[1])
         if now.masks == before.masks and not (status[0] | status[1]) & EXCLUDED:
             return None
-        # without a status nothing has happened but that suspicion has gone
-        owed = self._unit.owed.copy() if status != (0, 0) else np.zeros((2, 3))
+        # a sensor that has gone without a test that failed has done nothing wrong before
+        tested = np.array([bool(each & DETECTED) for each in status])
+        owed = np.where(tested[:, None], self._unit.owed, 0.0)
         cofactors = self._cofactors_now()
         moved = [np.abs(new - old) for new, old in zip(cofactors, self._cofactors, strict=True)]
         self._cofactors = cofactors
         bias = np.array([bias * np.sqrt(part) for bias, part in zip(self._biases, moved, strict=True)])
-        return ImuChange(t_ns, self._name, *now.masks, owed, bias)
+        return ImuChange(t_ns, self._name, *now.masks, owed, self._over, bias)
 
     def _cofactors_now(self) -> list[Vector]:
         """Of each kind what the variance of a sensor is to be multiplied by, (3,); zero where none is fused.

@@ -79,7 +79,11 @@ def heartbeat(picture: Picture, vehicle: int) -> Any:
 
 
 def sys_status(picture: Picture) -> Any:
-    """SYS_STATUS: what is there and works; error counters are wire errors, gate, other rejects, missing."""
+    """SYS_STATUS: what is there and works; error counters are wire errors, gate, other rejects, missing.
+
+    Second gyros and accelerometers stand for the redundancy of a unit with more than three: healthy while all
+    of them are in use.
+    """
     present = dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO | dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL
     present |= dialect.MAV_SYS_STATUS_AHRS | dialect.MAV_SYS_STATUS_LOGGING
     healthy = 0
@@ -100,6 +104,11 @@ def sys_status(picture: Picture) -> Any:
     if picture.health is not None:
         dropped = picture.health.dropped_frames
         for device in picture.health.devices.values():
+            if device.sensors is not None:
+                gyro, accel = dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO2, dialect.MAV_SYS_STATUS_SENSOR_3D_ACCEL2
+                present |= gyro | accel
+                healthy |= 0 if device.sensors.gyros_out | device.sensors.gyros_suspect else gyro
+                healthy |= 0 if device.sensors.accels_out | device.sensors.accels_suspect else accel
             frames += device.frames
             missing += device.missing
             for reason, count in device.rejects.items():

@@ -12,7 +12,7 @@ from bridge.evaluate import SolutionTable, TruthTable
 from bridge.outputs import FixOut, Innovation, ModeChange, SolutionOut
 from bridge.plots.data import PlotData
 from bridge.recording import Capture
-from nav.types import GnssFix
+from nav.types import GnssFix, ImuChange
 
 
 def collect(capture: Capture, config: Config) -> list[PlotData]:
@@ -34,7 +34,8 @@ def collect(capture: Capture, config: Config) -> list[PlotData]:
         end_ns = max(frame.rx_ns, end_ns or frame.rx_ns)
         for name in takers.get((frame.source, frame.key), ()):
             in_order = frame._replace(rx_ns=end_ns)  # engine time never goes back
-            times[name].extend(sample.t_ns for sample in drivers[name].feed(in_order))
+            made = drivers[name].feed(in_order)
+            times[name].extend(sample.t_ns for sample in made if not isinstance(sample, ImuChange))
         for out in engine.feed(frame):
             match out:
                 case SolutionOut():

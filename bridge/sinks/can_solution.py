@@ -6,7 +6,8 @@ there; an unknown heading is sent as 0 with its validity bit clear. A standard d
 or beyond the signal's range is sent as the largest raw value, "that or more", a smaller one than the signal
 can show as its smallest. Until there is a solution, the two constant frames are sent with every health
 report, so that the mode can be seen on the bus. SOL_ALIGN says how far an alignment is, as often as that
-reports; its estimate is a solution like any other.
+reports; its estimate is a solution like any other. SOL_IMU_HEALTH says which sensors of a redundant unit are
+not trusted, when that changes and once a second.
 
 In polar waters heading, velocity and, in the transverse frame, position are shown in the frame that the
 configuration chooses (`nav.polar`). Each message whose values depend on the frame says which it is, so that
@@ -31,8 +32,10 @@ from bridge.outputs import (
     Output,
     Progress,
     Reject,
+    SensorsOut,
     SolutionOut,
     Transmit,
+    UnitHealth,
 )
 from bridge.sinks.base import SinkContext
 from bridge.sinks.epoch import EPOCH, EpochValues
@@ -48,6 +51,8 @@ _LOSS_MODULUS = 8192
 _TOTAL_MODULUS = 1 << 32
 _RECENT_LIMIT = 0xFFFF
 _RESTARTS_LIMIT = 31
+_AGE_LIMIT_S = 0xFFFF
+_UNIT_LIMIT = 15
 
 _ALWAYS = ("SOL_TIME", "SOL_HEADING")
 _FRAMES: Final = {"geographic": Frame.GEOGRAPHIC, "grid": Frame.GRID, "transverse": Frame.TRANSVERSE}
@@ -96,12 +101,15 @@ class CanSolution:
         self._packer = Packer(self._epoch)
         self._keys = [codec.frame_id + self._offset for codec in self._epoch]
         self._rejects, self._health = messages["SOL_REJECTS"], messages["SOL_HEALTH"]
+        self._sensors = messages["SOL_IMU_HEALTH"]
+        self._units: dict[str, int] = {}
         self._align, self._align_packer = messages["SOL_ALIGN"], Packer([messages["SOL_ALIGN"]])
         self._slot: int | None = None
         self._alive = 0
         self._alive_rejects = 0
         self._alive_health = 0
         self._alive_align = 0
+        self._alive_sensors = 0
         self._gps_minus_engine_ns: int | None = None
         self._mode = Mode.STANDBY
         self._solution_since_health = False
@@ -112,6 +120,7 @@ class CanSolution:
         latest: SolutionOut | None = None
         health: Health | None = None
         progress: Progress | None = None
+        sent: list[Transmit] = []
         for output in outputs:
             match output:
                 case SolutionOut() if output.navigator == self._navigator:
@@ -122,9 +131,10 @@ class CanSolution:
                     progress = output
                 case FixOut() if output.fix.gps_ns is not None:
                     self._gps_minus_engine_ns = output.fix.gps_ns - output.fix.t_ns
+                case SensorsOut() if output.device in self._units:
+                    sent.append(self._send_sensors(output.t_ns, output.device, output.health))
                 case Health():
                     health = output
-        sent: list[Transmit] = []
         if latest is not None:
             slot = latest.latest_rx_ns // self._period_ns
             if slot != self._slot:
@@ -210,4 +220,12 @@ class CanSolution:
         wrapped = tuple(count % _LOSS_MODULUS for count in losses)
         sent.append(self._transmit(self._health, self._alive_health, wrapped))
         self._alive_health = (self._alive_health + 1) % 15
-        return sent
+        told = {name: device.sensors for name, device in health.devices.items() if device.sensors is not None}
+        self._units = {name: min(number, _UNIT_LIMIT) for number, name in enumerate(told)}
+        return sent + [self._send_sensors(health.t_ns, name, sensors) for name, sensors in told.items()]
+
+    def _send_sensors(self, now_ns: int, device: str, sensors: UnitHealth) -> Transmit:
+        age_s = max(now_ns - sensors.t_ns, 0) // 1_000_000_000
+        values = (self._units[device], *sensors.masks, min(age_s, _AGE_LIMIT_S))
+        alive, self._alive_sensors = self._alive_sensors, (self._alive_sensors + 1) % 15
+        return self._transmit(self._sensors, alive, values)

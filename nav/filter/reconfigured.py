@@ -2,13 +2,15 @@
 
 Before a fault is found it has moved attitude and velocity by what the unit then says is owed. Without aids
 all of that is still there, and is put right. Aids have taken out more or less of it, nobody knows how much:
-putting it right again would be as wrong, so the state stays and its covariance grows by it. The biases
-of what is fused are other ones in any case: the weights of the sensors have changed.
+putting it right again would be as wrong, so the state stays and its covariance grows by it. And what aids do
+not let velocity show goes into tilt: as much as the fault has come to, which of one that grows is twice its
+mean. The biases of what is fused are other ones in any case: the weights of the sensors have changed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
@@ -16,7 +18,11 @@ from nav.filter import states as st
 from nav.filter.records import Filter
 from nav.rotation import dcm_from_quat, quat_from_rotvec, quat_multiply, quat_normalize
 from nav.strapdown.kernels import X_Q, X_V
-from nav.types import ImuChange
+from nav.types import ImuChange, Vector
+
+_GROWN: Final = 2.0
+_GRAVITY: Final = 9.8  # m/s^2
+_LEVEL: Final = np.array([1.0, 1.0, 0.0])
 
 
 def reconfigured(change: ImuChange, blind: bool) -> Callable[[Filter], None]:
@@ -30,13 +36,14 @@ def reconfigured(change: ImuChange, blind: bool) -> Callable[[Filter], None]:
             q[:] = quat_normalize(quat_multiply(q, quat_from_rotvec(turned)))
         else:
             # in every direction: over the seconds in question the unit may have turned
-            _widen(f, st.PHI, np.full(3, turned @ turned))
+            tilt = _GROWN * np.linalg.norm(pushed) / change.over / _GRAVITY
             _widen(f, st.VELOCITY, np.full(3, pushed @ pushed))
+            _widen(f, st.PHI, np.full(3, turned @ turned) + tilt**2 * _LEVEL)
         _widen(f, st.GYRO_BIAS, change.bias[0] ** 2)
         _widen(f, st.ACCEL_BIAS, change.bias[1] ** 2)
 
     return action
 
 
-def _widen(f: Filter, part: slice, variance: np.ndarray) -> None:
+def _widen(f: Filter, part: slice, variance: Vector) -> None:
     f.P[part, part] += np.diag(variance)
