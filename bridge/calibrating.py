@@ -36,6 +36,8 @@ _WRITTEN: Final = {
         "misalignment": "arcsec",
         "axes": "",
         "product": "deg_per_h_per_g2",
+        "scale_temperature": "ppm_per_deg_c",
+        "bias_temperature": "deg_per_h_per_deg_c",
     },
     "accel": {
         "scale": "m_s_per_pulse",
@@ -45,10 +47,18 @@ _WRITTEN: Final = {
         "axes": "",
         "square": "ug_per_g2",
         "product": "ug_per_g2",
+        "scale_temperature": "ppm_per_deg_c",
+        "bias_temperature": "ug_per_deg_c",
     },
 }
 """The unit in which each quantity is written."""
-_COLUMNS: Final = {"square": ("xx", "yy", "zz"), "product": ("yz", "zx", "xy")}
+_COLUMNS: Final = {
+    "square": ("xx", "yy", "zz"),
+    "product": ("yz", "zx", "xy"),
+    **dict.fromkeys(("scale_temperature", "bias_temperature"), "123456"),
+}
+_SOAKED: Final = 15.0
+"""So far from the plan's temperature (degC) what a unit says of itself may be: it heats itself."""
 _DIGITS: Final = 10
 
 
@@ -79,7 +89,7 @@ def model_of(plan: Plan, place: Place, nominal: Nominal) -> Model:
         name = LETTERS[number] if count == len(LETTERS) else str(number + 1)
         kind = "gyro" if gyro else "accelerometer"
         made.append(sensor(f"{kind} {name}", gyro, axis, float(scale), plan.terms))
-    return Model(tuple(made), place)
+    return Model(tuple(made), place, plan.reference)
 
 
 def look(plan: Plan, model: Model, noise: Noise) -> Observability:
@@ -119,6 +129,7 @@ def calibrate(plan: Plan, site: Site | None, recorded: Sequence[Recorded]) -> Ca
         intervals = segment(
             [one.stream for one in recorded], plan.steps, nominal, [one.ratio for one in recorded]
         )
+        _check_temperatures(plan, intervals)
         found = fit(model, intervals, noise)
     except Disagreement as error:
         raise CalibrationError(f"{plan.file} and {_files(recorded)} disagree: {error}") from error
@@ -128,6 +139,16 @@ def calibrate(plan: Plan, site: Site | None, recorded: Sequence[Recorded]) -> Ca
     if wrong is not None:
         raise CalibrationError(f"{_files(recorded)}: {wrong}")
     return Calibrated(plan, where, found, tuple(intervals), seen, tuple(recorded), serial)
+
+
+def _check_temperatures(plan: Plan, intervals: Sequence[Interval]) -> None:
+    """Raise Disagreement where a unit was not at the plan's temperature, or did not tell."""
+    for step, interval in zip(plan.steps, intervals, strict=True) if plan.soaks else ():
+        if not abs(interval.temperature - step.temperature) <= _SOAKED:
+            told = (
+                f"{interval.temperature:.1f} degC" if np.isfinite(interval.temperature) else "no temperature"
+            )
+            raise Disagreement(f"{step.name}: the unit told {told}, expected {step.temperature:g} degC")
 
 
 def _files(recorded: Sequence[Recorded]) -> str:
@@ -194,6 +215,10 @@ def document_of(result: Calibrated) -> dict[str, Any]:
     arms = result.recorded[0].nominal.accel_arms
     if np.any(arms):  # not measured here, but known
         document["accel"]["lever_arm_m"] = arms.tolist()
+    if result.plan.soaks:
+        reference, told = result.plan.reference, [one.temperature for one in result.intervals]
+        held = [round(min(*told, reference), 2), round(max(*told, reference), 2)]
+        document["temperature"] = {"reference_deg_c": reference, "range_deg_c": held}
     document["sigma"] = sigmas
     return document
 
@@ -250,7 +275,7 @@ def lines_of(result: Calibrated) -> list[str]:
                 if sigmas[i, j] == 0.0:
                     continue  # one by definition, or not estimated
                 of = f"{kind} {LETTERS[i]} {name.replace('_', ' ')}"
-                of += f" {_COLUMNS.get(name, LETTERS)[j]}" if rows.shape[1] > 1 else ""
+                of += f" {_COLUMNS.get(name, LETTERS)[j]}" if value.ndim > 1 else ""
                 lines.append(f"{of:<44} {rows[i, j]:>14.7g} {sigmas[i, j]:>10.3g}  {unit.replace('_', ' ')}")
     lines += ["", *_table_lines(result), "", *residual_lines(result), "", *weak_lines(result.seen)]
     return lines
@@ -317,6 +342,10 @@ def _unit_of(name: str) -> tuple[str, float]:
     if "square" in name or "product" in name:
         kind, unit = ("gyro", "deg_per_h_per_g2") if gyro else ("accel", "ug_per_g2")
         return unit.replace("_per_", "/"), UNITS[kind]["product"][unit]
+    if " temperature " in name:
+        power = f"/degC^{name[-1]}" if name[-1] != "1" else "/degC"
+        unit, factor = _unit_of(name.split(" temperature ")[0])
+        return unit + power, factor
     if name.endswith("bias"):
         return ("deg/h", UNITS["gyro"]["bias"]["deg_per_h"]) if gyro else ("ug", UNITS["accel"]["bias"]["ug"])
     if name.endswith(("scale", "asymmetry", "gravity")):

@@ -98,7 +98,8 @@ _KEYS: Final = {
 }
 _MATRICES: Final = ("g_sensitivity", "misalignment", "axes", "lever_arm", "square", "product")
 _POLYNOMIALS: Final = ("scale_temperature", "bias_temperature")
-_MOST_POWERS: Final = 6
+MOST_POWERS: Final = 6
+"""The highest power of temperature in a file."""
 _WORDS: Final = {3: "three", 4: "four", 5: "five", 6: "six"}
 """Sensors of one kind that have a place on the bus."""
 
@@ -306,8 +307,8 @@ def _array(value: Any, quantity: str, count: int, file: str, key: str) -> Vector
     rows, length, expected = value, 3, f"{number} rows of three numbers"
     if quantity in _POLYNOMIALS:
         first = value[0] if isinstance(value, list) and value else None
-        length = min(max(len(first), 1), _MOST_POWERS) if isinstance(first, list) else 1
-        expected = f"{number} rows of equal length, of 1 to {_MOST_POWERS} numbers"
+        length = min(max(len(first), 1), MOST_POWERS) if isinstance(first, list) else 1
+        expected = f"{number} rows of equal length, of 1 to {MOST_POWERS} numbers"
     elif quantity not in _MATRICES:
         expected = f"{number} numbers" + (" (right, forward, up)" if count == 3 else "")
         rows, count, length = [value], 1, count

@@ -110,6 +110,7 @@ def record(capture: Capture, device: str | None) -> Recorded:
     wanted = frozenset(driver.keys)
     samples: list[ImuSample] = []
     temperatures: list[float] = []
+    told_at: list[int] = []
     serials: set[int] = set()
     now_ns = 0
     for frame in capture.frames():
@@ -123,6 +124,7 @@ def record(capture: Capture, device: str | None) -> Recorded:
         if codec is not None and codec.crc_ok(frame.data):
             values = dict(zip(codec.signals, codec.decode(frame.data), strict=True))
             temperatures.append(float(values["TEMPERATURE_FINE"]))
+            told_at.append(len(samples))
             serials.add(int(values["SERIAL"]))
     where = capture.path.name
     if not samples:
@@ -146,6 +148,7 @@ def record(capture: Capture, device: str | None) -> Recorded:
         dt,
         np.array([np.concatenate((sample.dtheta, sample.dv)) for sample in samples]),
         {word: flags & int(flag) != 0 for word, flag in _WORDS.items()},
+        np.interp(np.arange(len(samples)), told_at, temperatures) if temperatures else np.zeros(0),
     )
     utc = datetime.fromtimestamp((begin_ns + capture.utc_offset_ns) // 1_000_000_000, UTC)
     noise = noise_of(config, name)

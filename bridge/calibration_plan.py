@@ -15,6 +15,10 @@
     asymmetry = true             # a scale for positive and another for negative counts
     g_sensitivity = true         # of the gyros; not for optical ones
     second_order = false         # squares and products of specific force
+    [temperature]                # where scales and biases are to be known at several
+    soak_deg_c = [-20.0, 25.0, 60.0]   # at each all of the steps below, in this order
+    reference_deg_c = 25.0       # that of the scales and biases in the file
+    order = 2                    # of their polynomials
     [[position]]                 # in order; before all rotations
     faces = "SUW"                # where x, y, z of the unit point: N, E, S, W, U, D
     dwell_s = 120.0
@@ -33,14 +37,14 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
 from msgspec import Meta, field
 
-from bridge.calibration import G
+from bridge.calibration import MOST_POWERS, G
 from bridge.errors import ConfigError
 from bridge.options import Positive, Three
 from bridge.strict import Table, convert, one_of, parse, wrong
@@ -55,6 +59,7 @@ PACKAGED: Final = Path(__file__).parent / "plans"
 _ARCSEC: Final = math.pi / 648000.0
 _SLOWEST: Final = math.degrees(SLOWEST)
 _SHORTEST: Final = 5.0  # s
+DegC = Annotated[float, Meta(ge=-60.0, le=140.0)]
 
 
 class _Site(Table):
@@ -73,6 +78,12 @@ class _Estimate(Table):
     asymmetry: bool = True
     g_sensitivity: bool = True
     second_order: bool = False
+
+
+class _Temperature(Table):
+    soak_deg_c: Annotated[list[DegC], Meta(min_length=2)]
+    reference_deg_c: DegC
+    order: Annotated[int, Meta(ge=1, le=MOST_POWERS)]
 
 
 class _Position(Table):
@@ -94,6 +105,7 @@ class _Plan(Table):
     site: _Site | None = None
     table: _TableErrors = field(default_factory=_TableErrors)
     estimate: _Estimate = field(default_factory=_Estimate)
+    temperature: _Temperature | None = None
     position: list[_Position] = field(default_factory=list)
     rotation: list[_Rotation] = field(default_factory=list)
 
@@ -109,7 +121,11 @@ class Site:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """A plan as it was read: ``file`` and ``sha256`` say which; ``sigmas`` of tilt, north (rad), gravity."""
+    """A plan as it was read: ``file`` and ``sha256`` say which; ``sigmas`` of tilt, north (rad), gravity.
+
+    With ``soaks`` degC, not empty, ``steps`` are those of all of them, one after the other, and ``reference``
+    degC is the temperature of scales and biases.
+    """
 
     file: str
     sha256: str
@@ -118,6 +134,8 @@ class Plan:
     sigmas: tuple[float, float, float]
     terms: Terms
     steps: tuple[Step, ...]
+    soaks: tuple[float, ...] = ()
+    reference: float = 0.0
 
     def at(self, site: Site | None) -> tuple[Site, Place]:
         """Where it is carried out: ``site``, or else its own.
@@ -190,16 +208,37 @@ def read(data: bytes, file: str) -> Plan:
     if not steps:
         raise ConfigError(f"{file}: position: found nothing, expected at least one position or rotation")
     own = table.table
-    site = table.site
+    site, soaked = table.site, table.temperature
     return Plan(
         file,
         hashlib.sha256(data).hexdigest(),
         table.title,
         None if site is None else Site(site.lat_deg, site.height_m, site.gravity_m_s2),
         (own.tilt_arcsec * _ARCSEC, own.north_arcsec * _ARCSEC, own.gravity_ug * 1e-6 * G),
-        Terms(table.estimate.asymmetry, table.estimate.g_sensitivity, table.estimate.second_order),
-        tuple(steps),
+        Terms(
+            table.estimate.asymmetry,
+            table.estimate.g_sensitivity,
+            table.estimate.second_order,
+            0 if soaked is None else soaked.order,
+        ),
+        tuple(steps) if soaked is None else _soaked(steps, soaked, file),
+        () if soaked is None else tuple(soaked.soak_deg_c),
+        0.0 if soaked is None else soaked.reference_deg_c,
     )
+
+
+def _soaked(steps: Sequence[Step], table: _Temperature, file: str) -> tuple[Step, ...]:
+    """The steps at every temperature."""
+    soaks = table.soak_deg_c
+    if len(set(soaks)) != len(soaks):
+        raise wrong(file, "temperature.soak_deg_c", soaks, "different temperatures")
+    if table.order >= len(soaks):
+        raise wrong(file, "temperature.order", table.order, f"less than the {len(soaks)} of soak_deg_c")
+    if not min(soaks) <= table.reference_deg_c <= max(soaks):
+        raise wrong(
+            file, "temperature.reference_deg_c", table.reference_deg_c, "one between those of soak_deg_c"
+        )
+    return tuple(replace(one, name=f"{one.name}, {t:g} degC", temperature=t) for t in soaks for one in steps)
 
 
 def _attitude(one: _Position | _Rotation, file: str, key: str) -> tuple[str, Vector]:

@@ -54,6 +54,12 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         help="of a turntable: latitude in deg, height in m and gravity in m/s^2 (default: the plan's)",
     )
     parser.add_argument(
+        "--soak",
+        metavar="DEG_C",
+        type=float,
+        help="of a turntable: which of the plan's temperatures (default: its first)",
+    )
+    parser.add_argument(
         "--out",
         metavar="FILE.mcap",
         help="send nothing: record what a bridge would hear, in simulated time and as fast as it goes",
@@ -114,6 +120,7 @@ def _scenario(args: argparse.Namespace) -> scenario.Scenario | str:
             ("--grade", args.grade),
             ("--rate-hz", args.rate_hz),
             ("--site", args.site),
+            ("--soak", args.soak),
         ):
             if found is not None:
                 raise ConfigError(f"{name}: found one, but only the scenario {_TURNTABLE} has it")
@@ -125,7 +132,8 @@ def _scenario(args: argparse.Namespace) -> scenario.Scenario | str:
         expected = ", ".join(calibration_plan.packaged())
         raise ConfigError(f"PLAN: found nothing, expected a file or, packaged, one of {expected}")
     site = None if args.site is None else calibration_plan.Site(*args.site)
-    return scenario_of(calibration_plan.load(args.plan), site, args.grade or "fog", args.rate_hz or RATE_HZ)
+    plan, grade = calibration_plan.load(args.plan), args.grade or "fog"
+    return scenario_of(plan, site, grade, args.rate_hz or RATE_HZ, args.soak)
 
 
 def _record(bench: Bench, out: str) -> int:

@@ -7,7 +7,7 @@ are ``seed_base``, ``seed_base + 1``, ... and every one counts.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
 
@@ -44,7 +44,8 @@ RATE_HZ: Final = 25.0  # the slowest at which 20 deg/s leave the counters of eve
 NAMES: Final = tuple(sorted(GRADES))
 USUAL: Final = tuple(name for name in NAMES if GRADES[name].plain)
 """Those that a plan without second-order terms is enough for."""
-_AT_REFERENCE: Final = Warming(REFERENCE_DEG_C, REFERENCE_DEG_C)
+_BETWEEN_S: Final = 1e6
+"""From one temperature to the next: long enough for the noise of a unit to forget."""
 COVERAGE: Final = (0.93, 0.975)
 """Between these the share of errors within two sigmas must be, all coefficients of all runs together."""
 LARGEST: Final = 4.5
@@ -169,23 +170,28 @@ def noise_of(grade: Grade) -> Noise:
     )
 
 
-def counted(table: Turntable, grade: Grade, geometry: str, seed: int) -> tuple[Stream, ImuErrors, Vector]:
+def counted(
+    table: Turntable, grade: Grade, geometry: str, seed: int, soak: float | None = None
+) -> tuple[Stream, ImuErrors, Vector]:
     """What a unit counts on the table, the unit, and the table's errors (4,) as the model has them.
 
-    Units of different grades and geometries share no random numbers, so that each is evidence of its own.
+    It has a temperature of ``soak`` degC, by default that of its sheet. Units of different grades and
+    geometries share no random numbers, so that each is evidence of its own.
     """
     of = f"{grade.name}/{geometry}"
     delta, gravity = table.drawn(generator(seed, f"{of}/table"))
     trajectory = table.trajectory(table.seconds(), generator(seed, f"{of}/table"))
     unit = draw_imu(grade, generator(seed, f"{of}/unit"), GEOMETRIES[geometry])
-    imu = Imu(trajectory, grade, unit, generator(seed, f"{of}/imu"), Faults([]), warming=_AT_REFERENCE)
+    at = REFERENCE_DEG_C if soak is None else soak
+    noise = generator(seed, f"{of}/imu" if soak is None else f"{of}/imu/{soak:g}")
+    imu = Imu(trajectory, grade, unit, noise, Faults([]), warming=Warming(at, at))
     rate = round(table.imu.rate_hz)
     count = int(table.seconds() * rate)
     t_ns = np.rint(np.arange(count + 1) * (1e9 / rate)).astype(np.int64)
     blocks = [imu.block(t_ns[k : k + rate + 1])[0] for k in range(0, count, rate)]
     dt = np.asarray(np.diff(t_ns) * 1e-9, dtype=np.float64)
     counts = np.concatenate(blocks).astype(np.float64)
-    stream = Stream(f"seed {seed}", 0.0, dt, counts, {})
+    stream = Stream(f"seed {seed}", 0.0, dt, counts, {}, np.full(len(dt), at))
     return stream, unit, np.append(delta, gravity / table.gravity - 1.0)
 
 
@@ -207,9 +213,15 @@ def truth(model: Model, unit: ImuErrors) -> Vector:
             **{one.angle_of(side): float(one.across[:, side] @ triad.axes[k]) / along for side in (0, 1)},
             **{f"g sensitivity {x}": g / along for x, g in zip("xyz", triad.g_sensitivity[k], strict=True)},
             **_second_order(one, triad.second[k % len(triad.second)] / along),
+            **_powers("scale", triad.scale_temperature[k % len(triad.scale_temperature)]),
+            **_powers("bias", triad.bias_temperature[k % len(triad.bias_temperature)] / along),
         }
         values += [float(own[term]) for term in one.terms]
     return np.array(values)
+
+
+def _powers(what: str, row: Vector) -> dict[str, float]:
+    return {f"{what} temperature {j + 1}": float(value) for j, value in enumerate(row)}
 
 
 def _second_order(one: Sensor, form: Vector) -> dict[str, float]:
@@ -222,10 +234,13 @@ def _second_order(one: Sensor, form: Vector) -> dict[str, float]:
 
 
 def _one(plan: Plan, site: Site | None, grade: str, geometry: str, seed: int) -> Round:
-    table = scenario_of(plan, site, grade, RATE_HZ)
     nominal, noise = nominal_of(GRADES[grade], GEOMETRIES[geometry]), noise_of(GRADES[grade])
-    stream, unit, wrong = counted(table, GRADES[grade], geometry, seed)
-    intervals = segment([stream], plan.steps, nominal, [1.0])
+    streams: list[Stream] = []
+    for soak in plan.soaks or (None,):
+        table = scenario_of(plan, site, grade, RATE_HZ, soak)
+        stream, unit, wrong = counted(table, GRADES[grade], geometry, seed, soak)
+        streams.append(replace(stream, begin=_BETWEEN_S * len(streams)))
+    intervals = segment(streams, plan.steps, nominal, [1.0] * len(streams))
     model = model_of(plan, plan.at(site)[1], nominal)
     found = fit(model, intervals, noise)
     error = (found.theta - np.append(truth(model, unit), wrong)) / found.sigma

@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+from msgspec.structs import replace
 
 from bridge.calibration_plan import Plan, Site
+from bridge.strict import wrong
 from nav.calibrate.plan import Position
 from virtual_bus.turntable import Hold, Move, Spin, TableErrors, Turntable, turntable
 
@@ -14,15 +16,23 @@ RATE_HZ: Final = 200.0
 _REST_S: Final = 6.0  # before and after a rotation
 
 
-def scenario_of(plan: Plan, site: Site | None, grade: str, rate_hz: float = RATE_HZ) -> Turntable:
+def scenario_of(
+    plan: Plan, site: Site | None, grade: str, rate_hz: float = RATE_HZ, soak: float | None = None
+) -> Turntable:
     """The table's scenario: every seed draws its errors, as large as the plan expects, and the unit's.
 
+    Of a plan with several temperatures the steps at ``soak`` degC, by default at the first of them.
+
     Raises:
-        ConfigError: nobody said where the table stands.
+        ConfigError: nobody said where the table stands, or the plan has no such temperature.
     """
     where, place = plan.at(site)
+    if soak is None and plan.soaks:
+        soak = plan.soaks[0]
+    if soak is not None and soak not in plan.soaks:
+        raise wrong(plan.file, "temperature.soak_deg_c", list(plan.soaks), f"{soak:g} among them")
     moves: list[Move] = []
-    for step in plan.steps:
+    for step in plan.steps if soak is None else [one for one in plan.steps if one.temperature == soak]:
         if isinstance(step, Position):
             moves.append(Hold(step.C_gb, step.seconds))
         else:
@@ -30,4 +40,7 @@ def scenario_of(plan: Plan, site: Site | None, grade: str, rate_hz: float = RATE
             angle = float(np.sign(step.rate)) * 2.0 * np.pi * step.turns
             moves += [rest, Spin(step.axis, abs(step.rate), angle), rest]
     errors = TableErrors(*plan.sigmas)
-    return turntable(plan.title, grade, moves, where.lat_deg, where.height_m, place.gravity, errors, rate_hz)
+    made = turntable(plan.title, grade, moves, where.lat_deg, where.height_m, place.gravity, errors, rate_hz)
+    if soak is None:
+        return made
+    return replace(made, imu=replace(made.imu, temperature_deg_c=(soak, soak)))

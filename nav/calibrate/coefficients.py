@@ -11,7 +11,17 @@ from nav.calibrate.model import LETTERS
 from nav.calibrate.solve import Fit
 from nav.types import Vector
 
-KEYS: Final = ("scale", "scale_negative", "bias", "axes", "g_sensitivity", "square", "product")
+KEYS: Final = (
+    "scale",
+    "scale_negative",
+    "bias",
+    "axes",
+    "g_sensitivity",
+    "square",
+    "product",
+    "scale_temperature",
+    "bias_temperature",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,7 +29,8 @@ class Coefficients:
     """Values and sigmas, SI, of the gyros or the accelerometers of a unit, n of them, by `KEYS`.
 
     ``scale``, ``scale_negative``, ``bias`` (n,), ``axes``, ``g_sensitivity``, ``square``, ``product`` (n, 3);
-    g sensitivity is of gyros, squares are of accelerometers, and second-order terms are there if asked for.
+    g sensitivity is of gyros, squares are of accelerometers. These and the coefficients of temperature,
+    ``scale_temperature``, ``bias_temperature`` (n, order), are there if asked for.
     """
 
     value: dict[str, Vector]
@@ -51,11 +62,16 @@ def coefficients(fit: Fit, gyros: bool) -> Coefficients:
             drift = [rows.get(f"g sensitivity {letter}", nothing) for letter in LETTERS]
             add("g_sensitivity", np.zeros(3), np.stack(drift))
         if len(one.forms):
-            own = np.stack([rows[term] for term in one.terms[-len(one.forms) :]])
+            last = len(one.terms) - 2 * one.temperature_order
+            own = np.stack([rows[term] for term in one.terms[last - len(one.forms) : last]])
             if not gyros:
                 add("square", np.zeros(3), np.einsum("kii->ik", one.forms) @ own)
             pairs = np.stack([one.forms[:, j, k] for j, k in ((1, 2), (2, 0), (0, 1))])
             add("product", np.zeros(3), 2.0 * pairs @ own)
+        if one.temperature_order:
+            for what in ("scale", "bias"):
+                powers = [rows[f"{what} temperature {j + 1}"] for j in range(one.temperature_order)]
+                add(f"{what}_temperature", np.zeros(len(powers)), np.stack(powers))
     flat = ("scale", "scale_negative", "bias")
 
     def gathered(parts: dict[str, list[Vector]]) -> dict[str, Vector]:

@@ -30,7 +30,7 @@ class Interval:
     ``begin`` and ``seconds`` in s; ``turned`` (3,) rad, in b, is what the table turned through;
     ``attitude`` (3, 3) s the integral of C_bg over the interval, ``squares`` (3, 3) s that of u u^T, u being
     the direction up in b, both as planned. ``plus``, ``minus`` hold pulses, (n + m,) gyros first; they are
-    empty in an interval that is only planned.
+    empty in an interval that is only planned. ``temperature`` degC is the mean, NaN where nobody said.
     """
 
     name: str
@@ -42,6 +42,7 @@ class Interval:
     squares: Vector
     plus: Vector = field(default_factory=_none)
     minus: Vector = field(default_factory=_none)
+    temperature: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,9 +17,13 @@ those across it, (2-25) and IEEE Std 1293. The square of each component would be
 their sum is that of gravity, which is a bias. The table's own errors in P are left out: they are of the order
 of tilt times q.
 
+Where a unit is calibrated at several temperatures, each interval at one of its own, d degC above a reference,
+scales are multiplied by 1 + c_1 d + c_2 d^2 + ... and to biases is added b_1 d + b_2 d^2 + ....
+
 Tilt and north error of the table turn east-north-up by a small vector delta, gravity differs by a
 share gamma: C_bg f_g becomes C_bg (I - [delta x]) f_g (1 + gamma), and the Earth's rate likewise. They
-multiply axes and g sensitivities, so that the whole is solved by Gauss-Newton steps.
+multiply axes and g sensitivities, as powers of temperature do scales, so that the whole is solved by
+Gauss-Newton steps.
 """
 
 from __future__ import annotations
@@ -49,6 +53,7 @@ class Terms:
     asymmetry: bool = True
     g_sensitivity: bool = True
     second_order: bool = False
+    temperature_order: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,8 +61,9 @@ class Sensor:
     """One sensor before its calibration: its name, what it is, its nominal axis a0 and scale.
 
     ``axis`` (3,) is a unit vector in b; ``across`` (3, 2) two more that make it a triad, named ``toward``.
-    ``scale`` is rad or m/s per pulse; ``terms`` names its coefficients in order. The last of them multiply
-    f . form @ f, a symmetric matrix in ``forms`` (k, 3, 3) each.
+    ``scale`` is rad or m/s per pulse; ``terms`` names its coefficients in order. Towards the end each of
+    ``forms`` (k, 3, 3), symmetric matrices, has one for f . form @ f; then come those of the powers 1 to
+    ``temperature_order`` of temperature, of the scale and of the bias.
     """
 
     name: str
@@ -68,6 +74,7 @@ class Sensor:
     scale: float
     terms: tuple[str, ...]
     forms: Vector
+    temperature_order: int
 
     def angle_of(self, count: int) -> str:
         """Name of one of the two angles of its axis."""
@@ -112,16 +119,10 @@ def sensor(name: str, gyro: bool, axis: Vector, scale: float, terms: Terms) -> S
         forms = {"square": _form(unit, unit)}
         forms |= {f"product toward {where}": _form(unit, across[:, k]) for k, where in enumerate(toward)}
     named += forms
-    return Sensor(
-        name,
-        gyro,
-        unit,
-        across,
-        toward,
-        scale,
-        tuple(named),
-        np.array(list(forms.values())).reshape(-1, 3, 3),
-    )
+    order = terms.temperature_order
+    named += [f"{what} temperature {j}" for what in ("scale", "bias") for j in range(1, order + 1)]
+    matrices = np.array(list(forms.values())).reshape(-1, 3, 3)
+    return Sensor(name, gyro, unit, across, toward, scale, tuple(named), matrices, order)
 
 
 def _form(a: Vector, b: Vector) -> Vector:
@@ -137,11 +138,13 @@ def _direction(v: Vector) -> str:
 class Model:
     """Sensors on a table at a place; gyros first, in the order of the counts.
 
-    The unknowns are every sensor's ``terms`` in order, then `NUISANCE`.
+    The unknowns are every sensor's ``terms`` in order, then `NUISANCE`. Scales and biases are those at
+    ``reference`` degC where there are terms in temperature.
     """
 
     sensors: tuple[Sensor, ...]
     place: Place
+    reference: float = 0.0
     names: tuple[str, ...] = field(init=False)
     parts: tuple[slice, ...] = field(init=False)
 
@@ -206,9 +209,17 @@ class Model:
         for k, (interval, (W, F, dW, dF)) in enumerate(zip(intervals, shown, strict=True)):
             seen, slopes = (W, dW) if one.gyro else (F, dF)
             plus, minus = one.scale * interval.plus[place], one.scale * interval.minus[place]
-            columns = [plus - minus]
+            by = one.temperature_order
+            powers = (interval.temperature - self.reference) ** np.arange(1.0, by + 1.0)
+            growth, drift = (
+                1.0 + own[len(own) - 2 * by : len(own) - by] @ powers,
+                own[len(own) - by :] @ powers,
+            )
+            columns = [growth * (plus - minus)]
             if "asymmetry" in one.terms:
-                columns.append(-0.5 * (plus + minus))
+                columns.append(-0.5 * growth * (plus + minus))
+            first = len(columns)
+            counted = columns[0] + np.array(columns) @ own[:first]
             columns += list(-one.across.T @ seen)
             columns.append(-interval.seconds)
             nuisance = -a @ slopes
@@ -216,7 +227,9 @@ class Model:
                 nuisance = nuisance - own[len(columns) : len(columns) + 3] @ dF
                 columns += list(-F)
             columns += list(np.einsum("kij,ij->k", one.forms, -(self.place.gravity**2) * interval.squares))
-            residual[k] = columns[0] - one.axis @ seen + np.array(columns) @ own
+            felt = one.axis @ seen + drift * interval.seconds
+            residual[k] = counted - felt + np.array(columns[first:]) @ own[first : len(columns)]
+            columns += [*(counted / growth * powers), *(-interval.seconds * powers)]
             jacobian[k, part] = columns
             jacobian[k, -4:] = nuisance
         return residual, jacobian

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -56,11 +56,11 @@ def observe(model: Model, steps: Sequence[Step], noise: Noise) -> Observability:
 def propose(model: Model, steps: Sequence[Step], noise: Noise, seconds: float) -> list[Step]:
     """The fewest steps found that, added to ``steps``, show everything; each position takes ``seconds``.
 
-    One after the other, that candidate which says most about what is still unseen. Empty where nothing is
-    missing, or nothing that a turntable can show helps.
+    One after the other, that candidate which says most about what is still unseen, at the temperature of the
+    last of ``steps``. Empty where nothing is missing, or nothing that a turntable can show helps.
     """
     design = _design(model, planned(steps), noise)
-    possible = candidates(seconds)
+    possible = [replace(one, temperature=steps[-1].temperature) for one in candidates(seconds)]
     rows = [_design(model, planned([one]), noise)[:-4] for one in possible]
     chosen: list[Step] = []
     while len(chosen) < _MOST:

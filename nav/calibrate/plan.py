@@ -5,6 +5,7 @@ The table's axes are those of the unit on it (b); where they point is told in ea
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -29,18 +30,22 @@ _PER_TURN: Final = 72  # places at which a rotation that is only planned is look
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Position:
-    """The table rests ``seconds`` in attitude ``C_gb`` (3, 3), which takes b to east, north, up."""
+    """The table rests ``seconds`` in attitude ``C_gb`` (3, 3), which takes b to east, north, up.
+
+    ``temperature`` degC is what the unit is to have, NaN where that is not said.
+    """
 
     name: str
     C_gb: Vector
     seconds: float
+    temperature: float = math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rotation:
     """From attitude ``C_gb`` the table turns about ``axis`` (3,), a unit vector in b, and back into it.
 
-    ``rate`` rad/s is signed, ``turns`` whole and positive.
+    ``rate`` rad/s is signed, ``turns`` whole and positive; ``temperature`` as of a `Position`.
     """
 
     name: str
@@ -48,6 +53,7 @@ class Rotation:
     axis: Vector
     rate: float
     turns: int
+    temperature: float = math.nan
 
     @property
     def turned(self) -> Vector:
@@ -104,7 +110,8 @@ def planned(steps: Sequence[Step]) -> list[Interval]:
             count = _PER_TURN * step.turns
             turned, even = step.turned, np.full(count, step.seconds / count)
             shown = turning(step.C_gb, turned, np.arange(count + 1.0), even)
-        intervals.append(Interval(step.name, isinstance(step, Rotation), begin, step.seconds, turned, *shown))
+        turns, t = isinstance(step, Rotation), step.temperature
+        intervals.append(Interval(step.name, turns, begin, step.seconds, turned, *shown, temperature=t))
         begin += step.seconds
     return intervals
 

@@ -6,6 +6,7 @@ unit was turned since the rest before, as well as a rough calibration can tell.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
@@ -256,4 +257,5 @@ def _interval(step: Step, found: tuple[Rest, ...], ratio: float, nominal: Nomina
         *shown,
         plus,
         minus,
+        float(stream.temperature[inside].mean()) if len(stream.temperature) else math.nan,
     )

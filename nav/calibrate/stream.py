@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -54,7 +54,7 @@ class Stream:
     """Samples of one capture in order: ``begin`` s, intervals ``dt`` (k,) s, ``counts`` (k, n + m) pulses.
 
     ``bad`` names what is wrong with samples: from a word to the places (k,) where it holds. ``name`` is for
-    people.
+    people. ``temperature`` (k,) degC is empty where the unit did not tell it.
     """
 
     name: str
@@ -62,6 +62,7 @@ class Stream:
     dt: Vector
     counts: Vector
     bad: dict[str, Vector]
+    temperature: Vector = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
