@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from bridge.calibration import read_calibration
+from bridge.calibration_sensors import RedundantFile, read_unit
 from bridge.config import Config, packaged_configs
 
 
@@ -61,8 +61,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _calibration(data: bytes, name: str) -> str:
     """What a calibration file says of itself, in a line."""
-    file = read_calibration(data, name)
+    file = read_unit(data, name)
     unit = "any unit" if file.serial is None else f"serial number {file.serial}"
+    if isinstance(file, RedundantFile):
+        unit += f", {len(file.gyros.axes)} gyros and {len(file.accels.axes)} accelerometers"
     made = file.certificate
     if made is None:
         return f"{name}: for {unit}, no certificate"

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from bridge.cli import main
 from dbc.codec import contract
 from nav.imu.geometry import GEOMETRIES
 from virtual_bus import scenario
@@ -113,3 +114,12 @@ def test_only_a_redundant_unit_says_that_a_sensor_is_dead(tmp_path) -> None:
     path.write_text(text + fault + "told = true\n")
     with pytest.raises(ScenarioError, match=r"fault\[0\].told: found true, expected imu.axes"):
         scenario.load(path)
+
+
+def test_the_bridge_takes_what_is_written_for_it(tmp_path, capsys) -> None:
+    bench = Bench("redundant", seed=2, seconds=1.0)
+    for file, text in bench.files("virtual", "bench").items():
+        (tmp_path / file).write_text(text)
+    assert main(["check", str(tmp_path / "config.toml")]) == 0
+    said = f"for serial number {bench.imu_errors.serial}, 6 gyros and 6 accelerometers, no certificate"
+    assert said in capsys.readouterr().out
