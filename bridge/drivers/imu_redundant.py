@@ -30,6 +30,7 @@ from nav.types import ImuChange, ImuFlag, Vector
 MESSAGES: Final = ("IMU_GYRO", "IMU_GYRO_2", "IMU_ACCEL", "IMU_ACCEL_2")
 """Frames of a sample before the one with its time, in the order in which they are sent."""
 NO_COUNT: Final = -32768
+_ABSENT: Final = (NO_COUNT,) * 6
 _FLAGS: Final = 3  # signals of each frame that say whether its counters were at the end of their range
 _TWICE: Final = 2
 _SATURATED: Final = int(ImuFlag.SATURATED)
@@ -132,12 +133,14 @@ class Fusion:
         counts, strange = self._counts, False
         for kind, size in enumerate(self._sizes):
             first, second = frames[2 * kind], frames[2 * kind + 1]
-            given = (*first[_FLAGS:], *second[_FLAGS:])
-            full = (*first[:_FLAGS], *second[:_FLAGS])
-            self._saturated[kind] = sum(1 << k for k in range(size) if full[k])
-            for k in range(size):
-                counts[MOST * kind + k] = math.nan if given[k] == NO_COUNT else given[k]
-            strange |= any(count != NO_COUNT for count in given[size:])
+            given = first[_FLAGS:] + second[_FLAGS:]
+            place = MOST * kind
+            counts[place : place + size] = given[:size]
+            if NO_COUNT in given[:size]:
+                counts[place : place + size][counts[place : place + size] == NO_COUNT] = math.nan
+            strange |= given[size:] != _ABSENT[size:]
+            full = first[:_FLAGS] + second[:_FLAGS]
+            self._saturated[kind] = sum(1 << k for k in range(size) if full[k]) if any(full) else 0
         self._strange = self._strange + 1 if strange else 0
         if self._strange == _TWICE:
             gyros, accels = self._sizes
