@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -56,12 +57,14 @@ def observe(model: Model, steps: Sequence[Step], noise: Noise) -> Observability:
 def propose(model: Model, steps: Sequence[Step], noise: Noise, seconds: float) -> list[Step]:
     """The fewest steps found that, added to ``steps``, show everything; each position takes ``seconds``.
 
-    One after the other, that candidate which says most about what is still unseen, at the temperature of the
-    last of ``steps``. Empty where nothing is missing, or nothing that a turntable can show helps.
+    One after the other, that candidate which says most about what is still unseen, when it is done at every
+    temperature of ``steps``. Empty where nothing is missing, or nothing that a turntable can show helps.
     """
     design = _design(model, planned(steps), noise)
-    possible = [replace(one, temperature=steps[-1].temperature) for one in candidates(seconds)]
-    rows = [_design(model, planned([one]), noise)[:-4] for one in possible]
+    possible = candidates(seconds)
+    soaks = sorted({one.temperature for one in steps if not math.isnan(one.temperature)}) or [math.nan]
+    soaked = [[replace(one, temperature=soak) for soak in soaks] for one in possible]
+    rows = [_design(model, planned(every), noise)[:-4] for every in soaked]
     chosen: list[Step] = []
     while len(chosen) < _MOST:
         hidden = _hidden(design)[0]
