@@ -44,6 +44,9 @@ METHODS: Final = {
 }
 """Numbers of alignments in a command's argument and in SOL_ALIGN; a number is never given to another one."""
 
+HINTS: Final = {"": 0, "coordinated turn": 1, "S-turn": 2, "wing rock": 3, "heading wiggle": 4}
+"""Numbers of the manoeuvres that a transfer alignment asks for, in SOL_TRANSFER."""
+
 CONFIGURED: Final = 0
 """The argument that means the alignment of the configuration."""
 

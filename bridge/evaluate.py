@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 Epochs = NDArray[np.int64]
 
 MAX_GAP_NS: Final = 250_000_000
-NAVIGATING: Final = (Mode.NAVIGATE, Mode.TRANSFER, Mode.DEGRADED)
+NAVIGATING: Final = (Mode.NAVIGATE, Mode.DEGRADED)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,18 @@ import msgspec
 import numpy as np
 
 from bridge.evaluate import SolutionTable, TruthTable, errors
-from bridge.outputs import FixOut, Health, ModeChange, Output, Progress, Severity, SolutionOut, Text, Transmit
+from bridge.outputs import (
+    FixOut,
+    Health,
+    ModeChange,
+    Output,
+    Progress,
+    Severity,
+    SolutionOut,
+    Text,
+    Transfer,
+    Transmit,
+)
 from bridge.view_screen import LENGTH, Picture
 from nav.types import Mode, S, SolutionFlag
 
@@ -132,6 +143,8 @@ class ViewSink:
             case Progress() if output.navigator == self._navigator:
                 self._picture["stage"] = output.stage
                 self._picture["progress"] = output.fraction
+            case Transfer() if output.navigator == self._navigator:
+                self._picture["transfer"] = _transfer(output)
             case FixOut():
                 self._picture["fix"] = output.fix.fix_type.name
             case Health():
@@ -189,6 +202,18 @@ def _health(health: Health) -> Picture:
             "unrecorded": health.unrecorded_frames,
             "unknown": health.unknown_frames,
         },
+    }
+
+
+def _transfer(known: Transfer) -> Picture:
+    left = dict(known.observability)
+    return {
+        "matching": known.matching.replace("_", " "),
+        "sigma_mrad": [1e3 * sigma for sigma in known.sigma],
+        "mounting_deg": np.degrees(known.mounting).tolist(),
+        "sigma_mounting_deg": np.degrees(known.sigma_mounting).tolist(),
+        "left": [left.get(f"phi {axis}", 1.0) for axis in ("east", "north", "up")],
+        "hint": known.hint,
     }
 
 

@@ -33,6 +33,7 @@ _PLAIN_PERIOD_S: Final = 1.0
 _MESSAGES: Final = 8
 WIDE: Final = 100
 """Columns from which values and their errors fit side by side."""
+_ALIGNING: Final = ("ALIGN", "CATCH_UP", "TRANSFER")
 _COLOURS: Final = {
     "STANDBY": "white",
     "ALIGN": "yellow",
@@ -64,12 +65,14 @@ def render(picture: Picture, messages: Sequence[tuple[bool, str]], width: int = 
     """The screen for one picture, ``width`` columns wide."""
     mode = picture["mode"]
     parts: list[Any] = [_headline(picture)]
-    if mode in ("ALIGN", "CATCH_UP") and "progress" in picture:
+    if mode in _ALIGNING and "progress" in picture:
         bar = Table.grid(padding=(0, 1))
         bar.add_row(picture.get("stage", ""), ProgressBar(total=1.0, completed=picture["progress"], width=40))
         parts.append(bar)
     if solution := picture.get("solution"):
         parts += _solution_tables(solution, picture.get("error"), width >= WIDE)
+    if transfer := picture.get("transfer"):
+        parts.append(_transfer_table(transfer, mode))
     if devices := picture.get("devices"):
         parts.append(_device_table(devices, picture["losses"], width >= WIDE))
     parts += [Text(text, style="red" if urgent else "dim") for urgent, text in messages]
@@ -147,6 +150,19 @@ def _solution_rows(solution: Picture, error: Mapping[str, float]) -> list[tuple[
     return [position, velocity, attitude]
 
 
+def _transfer_table(transfer: Picture, mode: str) -> Table:
+    """What is known relative to the master: last that it was, once it has handed over."""
+    sigma, left = transfer["sigma_mrad"], transfer["left"]
+    known = [f"{axis} {_number(s, 2)} mrad" for axis, s in zip("ENU", sigma, strict=True)]
+    rest = [f"{100.0 * share:.0f} %" for share in left]
+    turned = zip(transfer["mounting_deg"], transfer["sigma_mounting_deg"], strict=True)
+    mounting = [f"{_number(angle, 3)}±{_number(of, 3)}°" for angle, of in turned]
+    rows = [("to master", *known), ("of first", *rest), ("mounting", *mounting)]
+    if transfer["hint"] and mode == "TRANSFER":
+        rows.append(("would help", transfer["hint"], "", ""))
+    return _grid(("",) * 4, rows, False)
+
+
 def _device_table(devices: Mapping[str, Picture], losses: Mapping[str, int], wide: bool) -> Table:
     table = Table(box=None, padding=(0, 1, 0, int(wide)))
     for name in ("device", "Hz", "age ms", "missing", "bridged"):
@@ -171,8 +187,13 @@ def _device_table(devices: Mapping[str, Picture], losses: Mapping[str, int], wid
 def plain_line(picture: Picture) -> str:
     """One line for a picture, where there is no terminal."""
     parts = [f"{picture.get('t_s', 0.0):8.1f} s  {picture['mode']:<9}"]
-    if picture["mode"] in ("ALIGN", "CATCH_UP") and "progress" in picture:
+    if picture["mode"] in _ALIGNING and "progress" in picture:
         parts.append(f"{picture.get('stage', '')} {100.0 * picture['progress']:.0f} %")
+    transfer = picture.get("transfer")
+    if transfer and picture["mode"] == "TRANSFER":
+        sigma = " ".join(_number(s, 2) for s in transfer["sigma_mrad"])
+        hint = f", {transfer['hint']} would help" if transfer["hint"] else ""
+        parts.append(f"to master {sigma} mrad{hint}")
     solution = picture.get("solution")
     if solution and "POSITION" in solution["flags"]:
         lat, lon, height = solution["position"]

@@ -19,7 +19,7 @@ from virtual_bus.devices import Device
 from virtual_bus.dither import CYCLE, Dither
 from virtual_bus.faults import AnyFault, BusFrame, Faults, Flood
 from virtual_bus.grades import GRADES, PPM, draw_imu
-from virtual_bus.master import master_of
+from virtual_bus.master import Master, master_of
 from virtual_bus.redundancy import AXES
 from virtual_bus.scenario import Scenario
 from virtual_bus.sensors import Barometer, Gnss, GnssErrors, Imu, Odometer, SpeedLog, Warming, generator
@@ -67,6 +67,7 @@ class Bench:
         self.imu_errors = draw_imu(self.grade, generator(seed, "imu/unit"), sensors)
         self.channels = sorted({table.channel for table in self.scenario.devices().values()})
         self._faults = Faults(self.scenario.fault)
+        self.master: Master | None = None
         self._streams = 0
         self._heap: list[tuple[int, int, BusFrame, Iterator[BusFrame]]] = []
         for stream in self._device_streams():
@@ -221,8 +222,8 @@ class Bench:
             streams["gnss"] = devices.gnss_frames(device, g, gnss, s.start)
         if s.master is not None:
             device = self._device("master", s.master, s.master.rate_hz)
-            master = master_of(s.master, trajectory, noise["master"])
-            streams["master"] = devices.master_frames(device, s.master, master)
+            self.master = master_of(s.master, trajectory, noise["master"])
+            streams["master"] = devices.master_frames(device, s.master, self.master)
         for name, stream in streams.items():
             yield faults.disturb(stream, active, name, generator(self.seed, f"{name}/faults"))
 

@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any, Final
 
 import can
+from msgspec.structs import replace
 
 from bridge.assemble import Bridge
 from bridge.cli.bench_options import add_bench_options, epilog
@@ -21,10 +22,13 @@ from bridge.live import Outcome
 from bridge.outputs import Output, Progress, SolutionOut, Transmit
 from bridge.recording import Recorder, require_place
 from bridge.report import explain_wait, outcome_lines
+from bridge.studies.transfer_end import TransferSink
 from bridge.view import ViewProcess, ViewSink
 from nav import rotation
+from nav.transfer import MATCHINGS, PREFIX
 from virtual_bus import scenario
 from virtual_bus.bus import Bench, Sent
+from virtual_bus.flights import FLIGHTS, scenario_of
 
 NAVIGATOR: Final = "main"
 CHANNEL: Final = "bench"
@@ -42,7 +46,7 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         help="simulate, align and navigate a vehicle, all in one",
         description="Run a simulated bench and the bridge in one process on a virtual CAN bus: the vehicle "
         "is aligned and navigated, a ground station on udp 127.0.0.1:14550 shows it, everything is captured, "
-        "and at the end the solution is compared with the truth.",
+        "and at the end the solution is compared with the truth, and with the master where there is one.",
         epilog=epilog(scenario.packaged()),
     )
     add_bench_options(parser, default="drive", fastest="the machine can")
@@ -58,8 +62,24 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         default="udpout:127.0.0.1:14550",
         help='where the ground station is, or "none" (default: udpout:127.0.0.1:14550)',
     )
+    parser.add_argument(
+        "--manoeuvre",
+        metavar="NAME",
+        choices=sorted(FLIGHTS),
+        help="of a scenario with a master, what is flown, sailed or driven: " + ", ".join(FLIGHTS),
+    )
+    parser.add_argument(
+        "--matching",
+        metavar="NAME",
+        choices=[_dashed(name) for name in MATCHINGS],
+        help="of a scenario with a master, what is compared with it: " + ", ".join(map(_dashed, MATCHINGS)),
+    )
     parser.add_argument("--no-view", action="store_true", help="no live view")
     return parser
+
+
+def _dashed(name: str) -> str:
+    return name.replace("_", "-")
 
 
 class EmbeddedBench:
@@ -151,7 +171,7 @@ class TruthSink:
 def run(args: argparse.Namespace) -> int:
     """Simulate and navigate; the last lines are the errors against truth and the digest."""
     try:
-        bench = Bench(args.scenario, seed=args.seed, seconds=args.seconds)
+        bench = Bench(_scenario(args), seed=args.seed, seconds=args.seconds)
     except scenario.ScenarioError as error:
         raise ConfigError(str(error)) from error
     require_place(args.out)
@@ -164,6 +184,22 @@ def run(args: argparse.Namespace) -> int:
     *lines, digest = outcome_lines(outcome, unrecorded)
     print(*lines, f"capture: {args.out}", *errors_found, digest, sep="\n", flush=True)
     return _INTERRUPTED if outcome.reason.startswith("stopped by") else 0
+
+
+def _scenario(args: argparse.Namespace) -> scenario.Scenario:
+    """The scenario that is asked for, with another manoeuvre or matching where one is named."""
+    what = scenario.load(args.scenario)
+    for option in ("manoeuvre", "matching"):
+        if getattr(args, option) is not None and what.master is None:
+            raise ConfigError(
+                f"--{option}: found {args.scenario}, expected a scenario with a master (transfer)"
+            )
+    if args.manoeuvre is not None:
+        what = scenario_of(args.manoeuvre, what)
+    if args.matching is not None:
+        alignment = PREFIX + args.matching.replace("-", "_")
+        what = replace(what, navigator=replace(what.navigator, alignment=alignment))
+    return what
 
 
 def _drive(args: argparse.Namespace, bench: Bench, config: Config) -> tuple[Outcome, int, list[str]]:
@@ -179,12 +215,13 @@ def _drive(args: argparse.Namespace, bench: Bench, config: Config) -> tuple[Outc
         view = ViewProcess(start=not args.no_view)
         title = f"{bench.scenario.title}, seed {args.seed}"
         shown = ViewSink(view, NAVIGATOR, title=title, duration_s=bench.seconds, truth=embedded.truth_row)
+        transfer = TransferSink(bench, NAVIGATOR, lambda: embedded.start_ns)
         try:
-            outcome = bridge.live(bench=embedded, sinks=[truth, shown]).run()
+            outcome = bridge.live(bench=embedded, sinks=[truth, shown, transfer]).run()
         finally:
             view.close()
     unrecorded = bridge.recorder.unrecorded if bridge.recorder is not None else 0
-    return outcome, unrecorded, truth.lines(outcome.seconds)
+    return outcome, unrecorded, [*truth.lines(outcome.seconds), *transfer.lines()]
 
 
 def clock_of(speed: float, bench: Bench) -> SimulatedClock:

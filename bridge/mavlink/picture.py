@@ -42,7 +42,7 @@ class Picture:
                     self.origin = LocalFrame(*place) if all(map(math.isfinite, place)) else None
             case ModeChange() if output.navigator == self.navigator:
                 self.mode = output.new
-                if output.new is Mode.ALIGN:
+                if output.new in (Mode.ALIGN, Mode.TRANSFER):
                     self.alignments += 1
             case Innovation() if output.navigator == self.navigator:
                 self._take_innovation(output)

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common as dialect
 from bridge.geoid import undulation
 from bridge.mavlink.ned import LocalFrame, Ned
 from bridge.mavlink.picture import Picture
-from bridge.outputs import Progress, Reject
+from bridge.outputs import Reject
 from nav.types import Mode, SolutionFlag
 
 _UINT16_MAX: Final = 0xFFFF
@@ -339,23 +339,6 @@ def gps_global_origin(picture: Picture) -> Any:
 def _wire_place(origin: LocalFrame) -> tuple[int, int, int]:
     altitude = origin.height - undulation(origin.lat, origin.lon)
     return _deg_e7(origin.lat), _deg_e7(origin.lon), _mm(altitude)
-
-
-def alignment(progress: Progress) -> list[Any]:
-    """NAMED_VALUE_FLOAT: progress in %, sigmas of level and heading and the heading's limit in deg."""
-    east, north, up = progress.sigma
-    values = {
-        "AlignPct": 100.0 * progress.fraction,
-        "AlignSigL": math.degrees(max(east, north)),
-        "AlignSigH": math.degrees(up),
-        "AlignLimH": math.degrees(progress.limit[2]),
-    }
-    t_ms = boot_ms(progress.t_ns)
-    return [
-        dialect.MAVLink_named_value_float_message(t_ms, name.encode(), value)
-        for name, value in values.items()
-        if math.isfinite(value)
-    ]
 
 
 def statustexts(severity: int, text: str, identifier: int) -> list[Any]:

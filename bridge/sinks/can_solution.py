@@ -6,8 +6,9 @@ there; an unknown heading is sent as 0 with its validity bit clear. A standard d
 or beyond the signal's range is sent as the largest raw value, "that or more", a smaller one than the signal
 can show as its smallest. Until there is a solution, the two constant frames are sent with every health
 report, so that the mode can be seen on the bus. SOL_ALIGN says how far an alignment is, as often as that
-reports; its estimate is a solution like any other. SOL_IMU_HEALTH says which sensors of a redundant unit are
-not trusted, when that changes and once a second.
+reports; its estimate is a solution like any other. So do SOL_TRANSFER and SOL_TRANSFER_OBS of one that has a
+master. SOL_IMU_HEALTH says which sensors of a redundant unit are not trusted, when that changes and once a
+second.
 
 In polar waters heading, velocity and, in the transverse frame, position are shown in the frame that the
 configuration chooses (`nav.polar`). Each message whose values depend on the frame says which it is, so that
@@ -23,7 +24,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from msgspec import Meta
 
-from bridge.commands import METHODS
+from bridge.commands import HINTS, METHODS
 from bridge.options import SinkOptions
 from bridge.outputs import (
     FixOut,
@@ -34,6 +35,7 @@ from bridge.outputs import (
     Reject,
     SensorsOut,
     SolutionOut,
+    Transfer,
     Transmit,
     UnitHealth,
 )
@@ -104,12 +106,15 @@ class CanSolution:
         self._sensors = messages["SOL_IMU_HEALTH"]
         self._units: dict[str, int] = {}
         self._align, self._align_packer = messages["SOL_ALIGN"], Packer([messages["SOL_ALIGN"]])
+        self._transfer = [messages["SOL_TRANSFER"], messages["SOL_TRANSFER_OBS"]]
+        self._transfer_packer = Packer(self._transfer)
         self._slot: int | None = None
         self._alive = 0
         self._alive_rejects = 0
         self._alive_health = 0
         self._alive_align = 0
         self._alive_sensors = 0
+        self._alive_transfer = 0
         self._gps_minus_engine_ns: int | None = None
         self._mode = Mode.STANDBY
         self._solution_since_health = False
@@ -121,6 +126,7 @@ class CanSolution:
         health: Health | None = None
         progress: Progress | None = None
         sent: list[Transmit] = []
+        transfer: Transfer | None = None
         for output in outputs:
             match output:
                 case SolutionOut() if output.navigator == self._navigator:
@@ -129,6 +135,8 @@ class CanSolution:
                     self._mode = output.new
                 case Progress() if output.navigator == self._navigator:
                     progress = output
+                case Transfer() if output.navigator == self._navigator:
+                    transfer = output
                 case FixOut() if output.fix.gps_ns is not None:
                     self._gps_minus_engine_ns = output.fix.gps_ns - output.fix.t_ns
                 case SensorsOut() if output.device in self._units:
@@ -143,6 +151,8 @@ class CanSolution:
                 sent += self._send_epoch(latest.solution)
         if progress is not None:
             sent += self._send_progress(progress)
+        if transfer is not None:
+            sent += self._send_transfer(transfer)
         if health is not None:
             if not self._solution_since_health:
                 sent += self._send_status(health.t_ns)
@@ -200,6 +210,19 @@ class CanSolution:
         payloads = self._align_packer.encode(self._alive_align, np.array(values))
         self._alive_align = (self._alive_align + 1) % 15
         return self._packed([self._align.frame_id + self._offset], payloads)
+
+    def _send_transfer(self, known: Transfer) -> list[Transmit]:
+        left = dict(known.observability)
+        values = (
+            *(math.degrees(x) for x in known.mounting),
+            HINTS.get(known.hint, 0),
+            100.0 * known.quality,
+            *(math.degrees(x) for x in known.sigma_mounting),
+            *(100.0 * min(left.get(f"phi {axis}", 1.0), 1.0) for axis in ("east", "north", "up")),
+        )
+        payloads = self._transfer_packer.encode(self._alive_transfer, np.array(values))
+        self._alive_transfer = (self._alive_transfer + 1) % 15
+        return self._packed([codec.frame_id + self._offset for codec in self._transfer], payloads)
 
     def _send_health(self, health: Health) -> list[Transmit]:
         totals: dict[Reject, int] = dict.fromkeys(Reject, 0)

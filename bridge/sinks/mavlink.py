@@ -9,10 +9,11 @@ from msgspec import Meta, field
 from pymavlink.dialects.v20 import common as dialect
 
 from bridge.geoid import undulation
+from bridge.mavlink import progress as values
 from bridge.mavlink import telemetry
 from bridge.mavlink.picture import Picture
 from bridge.options import SinkOptions
-from bridge.outputs import ModeChange, Output, Progress, Severity, Text, Transmit
+from bridge.outputs import ModeChange, Output, Progress, Severity, Text, Transfer, Transmit
 from bridge.sinks.base import SinkContext, output_time_ns
 from nav.types import Mode
 
@@ -84,7 +85,8 @@ class MavlinkTelemetry:
         self._next_ns = dict.fromkeys(self._period_ns, 0)
         self._soonest_ns = 0
         self._stage = ""
-        self._progress_second = -1
+        self._progress_second = self._transfer_second = -1
+        self._hint = ""
         self._text_id = 0
         self._text_second = 0
         self._texts = 0
@@ -105,6 +107,8 @@ class MavlinkTelemetry:
                     sent += self._text(severity, f"{output.new.name}: {output.reason}")
                 case Progress() if output.navigator == picture.navigator:
                     sent += self._progress(output)
+                case Transfer() if output.navigator == picture.navigator:
+                    sent += self._transfer(output)
                 case Text():
                     sent += self._text(output.severity, output.text)
         if outputs and picture.now_ns >= self._soonest_ns:
@@ -122,7 +126,20 @@ class MavlinkTelemetry:
         if stage != self._stage:
             self._stage = stage
             sent += self._text(Severity.INFO, f"{stage} {100.0 * progress.fraction:.0f} %")
-        return sent + [self._link.send(message) for message in telemetry.alignment(progress)]
+        return sent + [self._link.send(message) for message in values.alignment(progress)]
+
+    def _transfer(self, known: Transfer) -> list[Transmit]:
+        """Once a second what is known of phi and mounting; a text when another manoeuvre would help."""
+        second = known.t_ns // _SECOND_NS
+        if second == self._transfer_second:
+            return []
+        self._transfer_second = second
+        sent = []
+        if known.hint != self._hint:
+            self._hint = known.hint
+            if known.hint:
+                sent += self._text(Severity.NOTICE, f"{known.matching}: {known.hint} would help")
+        return sent + [self._link.send(message) for message in values.transfer(known)]
 
     def _due(self, now_ns: int) -> list[Transmit]:
         sent = []
