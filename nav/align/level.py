@@ -7,6 +7,7 @@ is off by its mean acceleration; the covariance says so.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -26,9 +27,12 @@ TURN_RATE: Final = math.radians(1.5)  # mean rate over a fix interval that is no
 TILT: Final = 0.03  # of g: a change of mean specific force that is not a standstill
 REMEMBER_S: Final = 60.0  # a longer standstill forgets: the bias of a warming sensor drifts
 MOST_WAITING: Final = 500  # fixes without a verdict
-SETTLED_NS: Final = (
-    2_000_000_000  # before the last fix at rest: a vehicle that drives off is not seen to at once
-)
+SETTLED_S: Final = (2.0, 5.0)
+"""Before the last fix at rest nothing is taken for rest: half of the time so far, within these.
+
+A vehicle that drives off is not seen to at once: one that starts smoothly has crept for three seconds and
+more when it has the speed that GNSS may show at rest, and what it gained by then tilts the vertical.
+"""
 MOVING_S: Final = 3.0  # seconds of motion looked at when there was no standstill
 _ZERO: Final = np.zeros(3)
 
@@ -114,9 +118,11 @@ def _with_fix(state: Level, fix: GnssFix) -> Level:
     # what lies before this fix, with a fix at rest on either side, was at rest
     state = replace(state, moving=False)
     left = list(waiting)
-    while left and left[0].end_ns <= fix.t_ns - SETTLED_NS:
+    stood = state.seconds + _seconds(left)
+    settled_ns = fix.t_ns - round(min(max(0.5 * stood, SETTLED_S[0]), SETTLED_S[1]) * 1e9)
+    while left and left[0].end_ns <= settled_ns:
         if _disturbed(state, left[0]):
-            if sum(float(chunk.piece[DT]) for chunk in left) < state.config.rest_s:
+            if _seconds(left) < state.config.rest_s:
                 # driving off, or a push: what was averaged before holds, and the gyros carry it on
                 break
             # it stands again: a new average
@@ -183,8 +189,12 @@ def level_dcm(f_b: Vector) -> Vector:
     return np.stack([np.cross(north, up), north, up])
 
 
+def _seconds(chunks: Sequence[_Chunk]) -> float:
+    return sum(float(chunk.piece[DT]) for chunk in chunks)
+
+
 def _motion_seconds(state: Level) -> float:
-    return float(sum(c.piece[-1] for c in state.waiting)) + float(state.open.piece[DT])
+    return _seconds((*state.waiting, state.open))
 
 
 def _status(state: Level) -> AlignStatus:
