@@ -4,7 +4,8 @@ In inertial axes gravity goes round a cone about the Earth's axis, whose half an
 another latitude, the constant matrix of `nav.align.constant` comes out as a rotation times a stretch, longer
 about the axis and shorter along it, or the other way round. Gyro biases do nearly the same, so what the data
 say of it is worth what gyros are; and where it goes unseen, their biases and the level take it up. So some
-error of latitude is always allowed for, an unknown like theirs, which costs the level a few microradians.
+error of latitude is always allowed for, an unknown like theirs, which costs the level a few microradians; and
+as much more as is seen of it beyond chance, until that speaks against the answer.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from nav.earth import normal_gravity
 from nav.rotation import skew
 from nav.types import Vector
 
+USUAL: Final = math.radians(0.05)  # that is allowed for where nothing is seen of it
+CHANCE: Final = 2.0  # sigma of what is seen
 UNSURE: Final = math.radians(0.1)
 DOUBT: Final = 3.3  # sigma beyond which it is more than that: 99.9 %
 _LEAST: Final = 1e-3  # of a sine or cosine: on the equator nothing is seen of the stretch along the axis
@@ -70,7 +73,8 @@ def solve(e: Estimate, lat: float, C_i0g: Vector, once: Vector) -> tuple[Solved,
     seen = _seen(e, first.C, by.ravel())
     c = np.zeros(len(e.x))
     c[MAT], c[START] = by.ravel(), by @ once
-    found = attitude_of_all(e._replace(P=e.P + UNSURE**2 * np.outer(c, c)))
+    beyond = max(0.0, seen.off**2 - (CHANCE * seen.sigma) ** 2) if math.isfinite(seen.sigma) else 0.0
+    found = attitude_of_all(e._replace(P=e.P + (USUAL**2 + beyond) * np.outer(c, c)))
     return None if found is None else (found, seen)
 
 
