@@ -23,7 +23,7 @@ from nav.types import Vector
 
 USUAL: Final = math.radians(0.05)  # that is allowed for where nothing is seen of it
 CHANCE: Final = 2.0  # sigma of what is seen
-UNSURE: Final = math.radians(0.1)
+UNSURE: Final = math.radians(0.1)  # what is seen worse, or is less, does not speak against the answer
 DOUBT: Final = 3.3  # sigma beyond which it is more than that: 99.9 %
 _LEAST: Final = 1e-3  # of a sine or cosine: on the equator nothing is seen of the stretch along the axis
 _STEP: Final = 1e-3  # rad
@@ -37,13 +37,16 @@ class Latitude(NamedTuple):
     sigma: float
 
 
-def contradiction(seen: Latitude) -> str | None:
-    """What to say where that is more than is allowed for, and seen well; or None."""
+def contradiction(seen: Latitude, else_: str) -> str | None:
+    """What to say where that is more than is allowed for, and seen well; or None.
+
+    A gyro that fails turns gravity as a latitude does; ``else_`` says what else may look like one.
+    """
     if seen.sigma > UNSURE or abs(seen.off) <= DOUBT * math.hypot(seen.sigma, UNSURE):
         return None
     return (
         f"gravity turns as it does {abs(math.degrees(seen.off)):.2f} deg further "
-        f"{'north' if seen.off > 0.0 else 'south'}: latitude or calibration are wrong"
+        f"{'north' if seen.off > 0.0 else 'south'}: the latitude, a gyro or calibration is wrong, or {else_}"
     )
 
 

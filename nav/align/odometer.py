@@ -310,7 +310,7 @@ def _solve(state: Ride, done: bool) -> Taken[Ride]:
     C_gb, P_phi = attitude_now(solved, row, place[0], now[0], since)
     status = AlignStatus(quat_from_dcm(C_gb), P_phi, old.limit, progress(state.config, seconds), done)
     reason = contradiction(book.estimate, solved, state.config, place[0], else_="the odometer slips")
-    reason = reason or latitude.contradiction(seen)
+    reason = reason or latitude.contradiction(seen, else_="the odometer slips")
     return state._replace(status=status, now=now), reason
 
 
