@@ -12,11 +12,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bridge.studies.fault_bound import least
 from nav.imu.geometry import GEOMETRIES
 from nav.imu.many import Sensors
 from nav.imu.parity import MOST
 from nav.imu.redundant import Monitor, Noise, Redundant
-from nav.imu.redundant_kernel import ACTIVE, DETECTED, SUSPECTS, State, Tables, fuse, quick
+from nav.imu.redundant_kernel import ACTIVE, DETECTED, SUSPECTS, State, Tables, fuse
+from nav.imu.redundant_sample import quick
 from nav.jit import in_place
 from nav.types import Vector
 from virtual_bus.ellipsoid import G0
@@ -32,6 +34,8 @@ ONSET: Final = (30.0, 40.0)
 LASTS: Final = 60.0
 RAMP: Final = 20.0
 """A ramp has its size after so many seconds, and goes on."""
+UNIT_S: Final = 10.0
+"""Sizes are in biases that a window of so many seconds misses once in 1000 times."""
 _PERIODS: Final = (41.0, 29.0, 19.0)
 _MOVES: Final = {"gyro": np.radians(2.0), "accel": 0.5}
 
@@ -62,13 +66,13 @@ def follow(
 ) -> None:
     """Fuse ``counts`` (k, `MOST`); ``found`` (3, k) and ``error`` (k // every, 3) as of `Course`.
 
-    ``truth`` (k, 3) increments in b; ``work`` (4, 3), all zero at the start.
+    ``truth`` (k, 3) increments in b; ``work`` (3, 3), all zero at the start.
     """
-    x, owed, off, nothing = work[0], work[1], work[2], work[3]
+    x, owed, off = work[0], work[1], work[2]
     for k in range(len(counts)):
         status = 0
         owed[0] = owed[1] = owed[2] = 0.0
-        if not quick(state.hot, counts[k], 0, 1.0 / RATE_HZ, nothing, x):
+        if not quick(state.hot, counts[k], 0, 1.0 / RATE_HZ, 0.0, 0.0, 0.0, x):
             status = fuse(tables, state, 1.0 / RATE_HZ, x, owed)
         found[0, k], found[1, k], found[2, k] = status, state.whole[ACTIVE], state.whole[SUSPECTS]
         for i in range(3):
@@ -79,13 +83,29 @@ def follow(
 
 
 @in_place
-def alarms(tables: Tables, state: State, counts: Vector, x: Vector, owed: Vector, nothing: Vector) -> int:
-    """How many samples of ``counts`` (k, `MOST`) a test failed at."""
+def failing(tables: Tables, state: State, counts: Vector, work: Vector, found: Whole) -> int:
+    """At which samples of ``counts`` (k, `MOST`) a test fails, in ``found`` (k,), and how many these are."""
+    x, owed = work[0], work[1]
     failed = 0
     for k in range(len(counts)):
-        if not quick(state.hot, counts[k], 0, 1.0 / RATE_HZ, nothing, x):
-            failed += fuse(tables, state, 1.0 / RATE_HZ, x, owed) & DETECTED
+        if quick(state.hot, counts[k], 0, 1.0 / RATE_HZ, 0.0, 0.0, 0.0, x):
+            continue
+        if fuse(tables, state, 1.0 / RATE_HZ, x, owed) & DETECTED:
+            found[failed] = k
+            failed += 1
     return failed
+
+
+def alarms(failed: Whole, fusion: Redundant) -> int:
+    """How many alarms tests are that fail at the samples ``failed`` (k,)."""
+    apart = fusion.monitor.windows[-1] * RATE_HZ
+    return int(np.count_nonzero(np.diff(failed, prepend=-2.0 * apart) > apart))
+
+
+def smallest(fusion: Redundant, k: int, motion: float = 0.0) -> float:
+    """The unit of size for sensor ``k``, rad/s or m/s^2, with ``motion`` rad/s or m/s^2."""
+    window = fusion.seconds.index(UNIT_S)
+    return fusion.smallest(k, window=window, motion=motion * UNIT_S)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,15 +157,13 @@ class Case:
 def broken(case: Case, one: Unit, sensed: Vector, noise: Vector, begin: int, end: int) -> Vector:
     """What the sensor puts out, (k,) rad or m/s, from ``begin`` to ``end`` with the fault of ``case``.
 
-    The unit of size is the smallest bias that the longest window detects in 999 of 1000 tests; of noise
-    the smallest that the single sample does. What depends on the motion has that size as a root mean square.
+    The unit of size is `smallest`, of noise the smallest that the single sample detects as surely. What
+    depends on the motion has that size as a root mean square.
     """
     out = sensed.copy()
     t = (np.arange(begin, end) - begin + 1.0) / RATE_HZ
-    window = one.fusion.monitor.windows[-1]
-    moved = float(np.sqrt(np.mean(sensed[begin:end] ** 2))) * RATE_HZ * window
-    smallest = one.fusion.smallest(case.sensor, motion=moved)
-    size = case.multiple * smallest / RATE_HZ
+    moved = float(np.sqrt(np.mean(sensed[begin:end] ** 2))) * RATE_HZ
+    size = case.multiple * smallest(one.fusion, case.sensor, moved) / RATE_HZ
     part = sensed[begin:end]
     if case.fault == "step":
         out[begin:end] += size
@@ -160,8 +178,24 @@ def broken(case: Case, one: Unit, sensed: Vector, noise: Vector, begin: int, end
     return out
 
 
-def run(case: Case, seed: int) -> tuple[Course, Course, int, int]:
-    """A run with the fault and the same without, and from which sample to which it lasts."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """A run with the fault, the same without, and from which sample to which it lasts.
+
+    ``fusion`` is the unit's; ``least`` as of `bridge.studies.fault_bound.least`, at whole seconds of the run
+    within the fault.
+    """
+
+    fusion: Redundant
+    failed: Course
+    healthy: Course
+    begin: int
+    end: int
+    least: Vector
+
+
+def run(case: Case, seed: int) -> Run:
+    """The run of a case with that seed."""
     rng = np.random.default_rng(
         [seed, *case.geometry.encode(), *case.kind.encode(), *case.fault.encode(), case.sensor]
     )
@@ -173,13 +207,9 @@ def run(case: Case, seed: int) -> tuple[Course, Course, int, int]:
         # slow motion around what it is stuck at, of the size asked for
         still = felt - felt[begin]
         off = float(np.sqrt(np.mean((still[begin:end] @ one.true.axes[case.sensor]) ** 2)))
-        moved = (
-            float(np.linalg.norm(felt[begin])) * one.fusion.monitor.windows[-1]
-            if case.kind == "accel"
-            else 0.0
-        )
+        moved = float(np.linalg.norm(felt[begin])) if case.kind == "accel" else 0.0
         felt = felt[begin] * (case.kind == "accel") + still * (
-            case.multiple * one.fusion.smallest(case.sensor, motion=moved) / off
+            case.multiple * smallest(one.fusion, case.sensor, moved) / off
         )
     n = len(one.true.scale)
     white = rng.standard_normal((len(felt), n)) * one.walk / np.sqrt(RATE_HZ)
@@ -199,7 +229,11 @@ def run(case: Case, seed: int) -> tuple[Course, Course, int, int]:
                 felt / RATE_HZ,
             )
         )
-    return courses[0], courses[1], begin, end
+    fault = (failed - sensed)[begin:end, case.sensor]
+    first, last = -(-begin // round(RATE_HZ)) + 1, end // round(RATE_HZ) + 1
+    since = np.arange(first, last, dtype=np.float64) - begin / RATE_HZ
+    bound = least(one.fusion, case.sensor, fault, felt[:end] / RATE_HZ, begin, since, RATE_HZ)
+    return Run(one.fusion, courses[0], courses[1], begin, end, bound)
 
 
 def course(fusion: Redundant, counts: Vector, truth: Vector) -> Course:
@@ -209,5 +243,5 @@ def course(fusion: Redundant, counts: Vector, truth: Vector) -> Course:
     found, error = np.zeros((3, k), np.int64), np.zeros((k // every, 3))
     padded = np.zeros((k, MOST))
     padded[:, :n] = counts
-    follow(fusion.tables, fusion.fresh(), padded, truth, every, np.zeros((4, 3)), found, error)
+    follow(fusion.tables, fusion.fresh(), padded, truth, every, np.zeros((3, 3)), found, error)
     return Course(found[0], found[1], found[2], error)

@@ -12,6 +12,8 @@ lowest. The units of Luo Rui, Li Peng, Yu Lingyan 2023 are in `nav.imu.geometry`
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -24,6 +26,8 @@ _SPAN: Final = 0.05
 """Unit vectors whose smallest singular value is below this do not span space."""
 _TOLD: Final = 1e-9
 """A sensor with less than this of its fault in parity space is not watched by the others."""
+_LOW: Final = 6.0
+"""No limit is lower: there sums that overlap are beyond it most of the time, and alarms have no beginning."""
 MOST: Final = 8
 """Sensors of one kind: tables have two to this power of rows."""
 
@@ -95,12 +99,42 @@ def sets_of(axes: Vector, sigma: Vector) -> Sets:
     return out
 
 
-def thresholds(most: int, chances: Vector) -> Vector:
-    """Values (k, most + 1) that chi-square of 0 to ``most`` degrees exceeds with ``chances`` (k,)."""
-    found = np.full((len(chances), most + 1), np.inf)
+def thresholds(most: int, alarms: Vector, overlaps: Sequence[int]) -> Vector:
+    """Limits (k, most + 1) of p'p in variances, of 0 to ``most`` degrees, of k series of tests.
+
+    Each has so many ``alarms`` (k,) per test, one test for each new of ``overlaps`` (k,) terms of a sum.
+
+    Raises:
+        ValueError: more alarms than `alarm` holds for.
+    """
+    found = np.full((len(alarms), most + 1), np.inf)
     for freedom in range(1, most + 1):
-        found[:, freedom] = stats.chi2.isf(chances, freedom)
+        for k, (rate, overlap) in enumerate(zip(alarms, overlaps, strict=True)):
+            high = float(stats.chi2.isf(rate, freedom))
+            if alarm(_LOW, freedom, overlap) < rate:
+                raise ValueError(f"more alarms than tests can make: {rate:g} per test")
+
+            def excess(limit: float, rate: float = rate, freedom: int = freedom, n: int = overlap) -> float:
+                return alarm(limit, freedom, n) / rate - 1.0
+
+            found[k, freedom] = high if overlap == 1 else float(brentq(excess, _LOW, high + 2.0, xtol=1e-12))
     return found
+
+
+def alarm(limit: float, freedom: int, overlap: int) -> float:
+    """Chance per test that an alarm begins: p'p of sums of the last ``overlap`` terms is beyond ``limit``.
+
+    Sums that overlap fail one after the other. From one to the next p'p / 2 moves near the limit as a random
+    walk that falls by limit / overlap a step, with twice that as its variance; how often an alarm begins
+    follows from the density at the limit and the walk's overshoot (Siegmund, Sequential Analysis, 1985, eq.
+    (4.37)). To 7 % from a limit of 12 on.
+    """
+    if overlap == 1:
+        return float(stats.chi2.sf(limit, freedom))
+    step = math.sqrt(2.0 * limit / overlap)
+    n = np.arange(1, 10 + int(150.0 / step**2))
+    overshoot = math.exp(-2.0 * float(np.sum(stats.norm.cdf(-0.5 * step * np.sqrt(n)) / n)))
+    return 2.0 * float(stats.chi2.pdf(limit, freedom)) * overshoot
 
 
 def noncentrality(threshold: float, freedom: int, missed: float) -> float:

@@ -3,14 +3,16 @@
 Every sample is fused by weighted least squares and tested in parity space (`nav.imu.parity`), and so are sums
 over windows, in which a small fault grows faster than noise does. Where the test fails, the sensor that
 explains it best is excluded, if it does so better than all others by odds of `Monitor.isolation`; else those
-that may be it are suspects, and later tests decide. A fault that a sample shows is excluded before that
-sample is used. What it brought in before is known from the sums of the last two of the longest windows and
-is handed back as a correction.
+that may be it are suspects, and later tests decide. Odds that a later test reverses put the sensor that was
+excluded for nothing back in the place of the one that has failed. A fault that a sample shows is excluded
+before that sample is used. What it brought in before is known for the longest window and is handed back as a
+correction.
 
 The test's threshold follows from the noise and from `Monitor.false_alarms`, shared by the windows in equal
-parts. Windows follow each other without overlap, so that their tests are independent and the rate is exact.
-A sensor comes back when it agrees with the others over several of the longest windows. One that sends
-NaN is not there: it is out at once.
+parts. All windows move on by the shortest of them, so that no fault waits for a window to begin; that sums
+which overlap fail together is in their thresholds. A sensor comes back when it agrees with the others over
+several of the longest windows, which for this do not overlap. One that sends NaN is not there: it is out at
+once.
 
 What geometry cannot tell, no threshold can: with T the mirror of S in the y-z plane (`with_skew`), faults of
 y and of z move the parity vector in the same direction, and stay suspects together.
@@ -25,27 +27,19 @@ import numpy as np
 
 from nav.imu.many import Sensors
 from nav.imu.parity import MOST, noncentrality, sets_of, thresholds
-from nav.imu.redundant_kernel import (
-    ACTIVE,
-    BIAS,
+from nav.imu.redundant_kernel import ACTIVE, PRESENT, SUSPECTS, WHOLE, State, Tables, fuse, give, variance_of
+from nav.imu.redundant_sample import (
     CONSTANT,
-    FILLED,
     HOT,
     LANES,
+    LEFT,
     MOTION,
     SCALE,
     SQUARED,
-    SUSPECTS,
     TIMES,
     UNEVEN,
-    G,
-    State,
-    Tables,
-    fuse,
-    give,
     quick,
     quick_both,
-    variance_of,
 )
 from nav.types import Vector
 
@@ -77,17 +71,18 @@ class Noise:
 class Monitor:
     """How sensors are watched.
 
-    ``false_alarms`` is how many tests fail in an hour without a fault; ``isolation`` the chance of excluding
-    another sensor than the one that failed; ``windows`` s the lengths of sums beside the single sample, each
-    a multiple of the one before. A sensor is let in again after ``agreements`` of the longest windows in
-    which it is within ``near`` sigmas of what the others say.
+    ``false_alarms`` is how many alarms there are in an hour without a fault, tests that fail less than the
+    longest window after each other being one; ``isolation`` the chance of excluding another sensor than the
+    one that failed; ``windows`` s the lengths of sums beside the single sample, growing multiples of the
+    first. A sensor is let in again after ``agreements`` of the longest windows in which it is within ``near``
+    sigmas of what the others say.
     """
 
     false_alarms: float = 0.01
     isolation: float = 1e-3
-    windows: tuple[float, ...] = (1.0, 10.0)
-    agreements: int = 3
-    near: float = 2.0
+    windows: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0)
+    agreements: int = 2
+    near: float = 3.0
 
 
 class Redundant:
@@ -112,19 +107,28 @@ class Redundant:
         self.sensors, self.noise, self.monitor = sensors, noise, monitor
         self.sigma = np.ones(n) if sigma is None else np.array(sigma, dtype=np.float64)
         self.seconds = (1.0 / rate_hz, *monitor.windows)
-        ratios = np.divide(self.seconds[1:], self.seconds[:-1])
-        lengths = np.round(ratios)
-        if not len(ratios) or np.any(lengths < 2) or np.abs(ratios / lengths - 1.0).max() > 1e-6:
-            raise ValueError(f"windows: expected multiples of each other and of a sample: {monitor.windows}")
-        self.chances = monitor.false_alarms / 3600.0 / len(self.seconds) * np.array(self.seconds)
-        if self.chances[-1] > 0.5:
-            raise ValueError(f"false_alarms: more than windows of {monitor.windows} s can make")
+        first = monitor.windows[0]
+        ratios = np.array([first * rate_hz, *(one / first for one in monitor.windows[1:])])
+        whole = np.rint(ratios).astype(np.int64)
+        growing = whole.min() > 1 and np.all(np.diff(whole[1:]) > 0)
+        if not growing or np.abs(ratios / np.maximum(whole, 1) - 1.0).max() > 1e-6:
+            raise ValueError(f"windows: expected multiples of the first, it of a sample: {monitor.windows}")
+        lengths = np.concatenate(([1], whole[1:]))
+        every = np.array([self.seconds[0], *[first] * len(lengths)])
+        alarms = monitor.false_alarms / 3600.0 / len(every) * every
+        try:
+            limits = thresholds(n - 3, alarms, [1, *lengths.tolist()])
+        except ValueError as error:
+            raise ValueError(f"false_alarms: {error}") from None
         self.tables = Tables(
             sets_of(sensors.axes, self.sigma),
             sensors.axes,
+            sensors.bias,
+            sensors.g_sensitivity,
             noise.parts(),
-            thresholds(n - 3, self.chances),
-            lengths.astype(np.int64),
+            limits,
+            int(whole[0]),
+            lengths,
             # odds of one sensor against another are exp of half the difference of their shares
             -2.0 * math.log(monitor.isolation),
             monitor.agreements,
@@ -134,25 +138,24 @@ class Redundant:
 
     def fresh(self) -> State:
         """The state before the first sample: everybody is trusted."""
-        n, windows = len(self.sigma), len(self.monitor.windows)
-        whole = np.zeros(FILLED + windows + n, np.int64)
+        n = len(self.sigma)
+        whole = np.zeros(WHOLE, np.int64)
+        parts = int(self.tables.lengths[-1])
         whole[ACTIVE] = (1 << n) - 1
+        whole[PRESENT : PRESENT + n] = parts
         hot = _lanes(HOT)
-        hot[LANES] = MOST
+        hot[LANES], hot[LEFT] = MOST, self.tables.samples
         one = self.sensors
         hot[SCALE : SCALE + n] = 0.5 * (one.scale_plus + one.scale_minus)
         hot[UNEVEN : UNEVEN + n] = 0.5 * (one.scale_plus - one.scale_minus)
-        hot[BIAS : BIAS + n] = one.bias
-        for i in range(3):
-            hot[G + MOST * i : G + MOST * i + n] = one.g_sensitivity[:, i]
         hot[[TIMES, CONSTANT, SQUARED, MOTION]] = self.noise.parts()
-        state = State(whole, np.zeros((windows, n)), np.zeros(windows), np.zeros(n), np.zeros(3 + n), hot)
+        state = State(whole, np.zeros((parts, MOST)), np.zeros(parts), np.zeros(3 + n), hot)
         give(self.tables, state)
         return state
 
     def sample(self, counts: Vector, tau: float, dv: Vector, x: Vector, owed: Vector) -> int:
         """Fuse ``counts`` (n,); see `quick` and `fuse`."""
-        if quick(self.state.hot, counts, 0, tau, dv, x):
+        if quick(self.state.hot, counts, 0, tau, dv[0], dv[1], dv[2], x):
             owed[:] = 0.0
             return 0
         return self.after_quick(tau, x, owed)

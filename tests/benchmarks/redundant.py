@@ -17,8 +17,9 @@ from nav.imu.many import Sensors
 from nav.imu.parity import MOST
 from nav.imu.pulses import compensate
 from nav.imu.redundant import Noise, Redundant, RedundantUnit
-from nav.imu.redundant_kernel import State, Tables, fuse, quick
+from nav.imu.redundant_kernel import State, Tables, fuse
 from nav.imu.redundant_readable import Readable
+from nav.imu.redundant_sample import quick
 from nav.jit import in_place
 from nav.types import Vector
 from tests.benchmarks.kernels import CALIBRATION, COUNTS
@@ -48,9 +49,9 @@ def six(
     """``n`` samples of six gyros and six accelerometers."""
     tau = 1.0 / RATE_HZ
     for _ in range(n):
-        if not quick(accel.hot, counts, MOST, tau, out[1], out[1]):
+        if not quick(accel.hot, counts, MOST, tau, 0.0, 0.0, 0.0, out[1]):
             fuse(accels, accel, tau, out[1], out[2])
-        if not quick(gyro.hot, counts, 0, tau, out[1], out[0]):
+        if not quick(gyro.hot, counts, 0, tau, out[1, 0], out[1, 1], out[1, 2], out[0]):
             fuse(gyros, gyro, tau, out[0], out[2])
 
 
