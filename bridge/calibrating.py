@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any, Final
 
@@ -17,13 +17,14 @@ from bridge.errors import CalibrationError
 from bridge.strict import plain
 from nav.calibrate.checks import moved
 from nav.calibrate.coefficients import KEYS, Coefficients, coefficients
+from nav.calibrate.encoder import Encoder, attitudes
 from nav.calibrate.intervals import Interval, Place
 from nav.calibrate.model import LETTERS, NUISANCE, Model, sensor
 from nav.calibrate.observability import Observability, observe, propose
 from nav.calibrate.plan import Position
 from nav.calibrate.segments import Disagreement, segment
 from nav.calibrate.solve import Fit, Noise, fit
-from nav.calibrate.stream import Nominal
+from nav.calibrate.stream import Nominal, Stream
 from nav.types import Vector
 
 _ARCSEC: Final = np.pi / 648000.0
@@ -60,6 +61,7 @@ _COLUMNS: Final = {
 _SOAKED: Final = 15.0
 """So far from the plan's temperature (degC) what a unit says of itself may be: it heats itself."""
 _DIGITS: Final = 10
+_LEFT: Final = 0.05  # of an encoder's error in a turn that ends three degrees beside its beginning
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +114,26 @@ def _combination(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} one from another"
 
 
+def with_table(noise: Noise, plan: Plan, told: bool) -> Noise:
+    """``noise`` with what is not known of where a table rests and by how much it turns.
+
+    A table that has ``told`` its angles is off by its encoders' error. That belongs to the angle, so that
+    whole turns are free of all but the part by which they end a few degrees from where they began.
+    """
+    if told:
+        return replace(noise, attitude=plan.encoder.sigma, turn=_LEFT * plan.encoder.sigma)
+    return replace(noise, attitude=plan.position, turn=plan.position)
+
+
+def with_encoder(one: Recorded, plan: Plan) -> Stream:
+    """The samples of a capture with the attitudes that its table told, if it did."""
+    if one.table is None:
+        return one.stream
+    return replace(
+        one.stream, encoder=Encoder(one.table.time, attitudes(one.table.angles, plan.encoder.axes))
+    )
+
+
 def calibrate(plan: Plan, site: Site | None, recorded: Sequence[Recorded]) -> Calibrated:
     """The calibration of a unit from captures that hold the plan's steps in their order.
 
@@ -122,13 +144,13 @@ def calibrate(plan: Plan, site: Site | None, recorded: Sequence[Recorded]) -> Ca
     """
     where, place = plan.at(site)
     serial = same_unit(recorded)
-    noise, nominal = recorded[0].noise, Nominal.of(recorded[0].nominal)
+    nominal = Nominal.of(recorded[0].nominal)
+    noise = with_table(recorded[0].noise, plan, all(one.table is not None for one in recorded))
     model = model_of(plan, place, nominal)
     seen = look(plan, model, noise)
+    streams = [with_encoder(one, plan) for one in recorded]
     try:
-        intervals = segment(
-            [one.stream for one in recorded], plan.steps, nominal, [one.ratio for one in recorded]
-        )
+        intervals = segment(streams, plan.steps, nominal, [one.ratio for one in recorded])
         _check_temperatures(plan, intervals)
         found = fit(model, intervals, noise)
     except Disagreement as error:
@@ -284,7 +306,8 @@ def lines_of(result: Calibrated) -> list[str]:
 def _table_lines(result: Calibrated) -> list[str]:
     prior = result.fit.model.prior
     factors = (1.0 / _ARCSEC, 1.0 / _ARCSEC, 1.0 / _ARCSEC, result.fit.model.place.gravity / G * 1e6)
-    lines = []
+    told = all(one.table is not None for one in result.recorded)
+    lines = [f"attitudes and turns: as {'the table told them' if told else 'planned'}"]
     for k, (name, factor) in enumerate(zip(NUISANCE, factors, strict=True)):
         value, sigma = (float(part[k - 4]) * factor for part in (result.fit.theta, result.fit.sigma))
         unit = "ug" if k == 3 else "arcsec"

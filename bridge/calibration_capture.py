@@ -12,19 +12,22 @@ from datetime import UTC, datetime
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bridge.calibration import read_calibration
 from bridge.config import Config
 from bridge.drivers.imu_can import ImuCanOptions
-from bridge.engine import BACKWARDS_NS, build_drivers
+from bridge.drivers.table_can import TableCanOptions
+from bridge.engine import build_drivers
 from bridge.errors import CalibrationError, CaptureError, ConfigError
+from bridge.heard import heard
 from bridge.navigators import imu_errors
 from bridge.recording import Capture
 from bridge.strict import one_of
 from nav.calibrate.solve import Noise
 from nav.calibrate.stream import Stream
 from nav.imu.pulses import Calibration
-from nav.types import ImuFlag, ImuSample, Vector
+from nav.types import ImuFlag, ImuSample, TableSample, Vector
 
 PULSES: Final = b"""
 [gyro]
@@ -41,14 +44,23 @@ _WORDS: Final = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """What a table told: ``angles`` (k, 3) rad at ``time`` (k,) s of the unit's clock since the beginning."""
+
+    time: Vector
+    angles: Vector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Recorded:
-    """What one capture holds of a unit.
+    """What one capture holds of a unit, and of the ``table`` it was on where that told its angles.
 
     ``ratio`` is how long a second of the unit's clock is by the host's; ``utc`` when it began. ``serial`` is
     None where the unit did not say it; ``temperatures`` (k,) degC as it told them.
     """
 
     stream: Stream
+    table: Told | None
     ratio: float
     utc: datetime
     serial: int | None
@@ -103,24 +115,20 @@ def record(capture: Capture, device: str | None) -> Recorded:
     name, options = unit_of(config, device)
     file = read_calibration(config.files[options.calibration], options.calibration)
     plain = replace(config, files={**config.files, options.calibration: PULSES})
-    driver = build_drivers(plain)[name]
+    drivers = build_drivers(plain)
+    tables = [other for other, one in config.devices.items() if isinstance(one, TableCanOptions)]
     source = config.source_number(options.source)
     status, fd = config.contract["IMU_STATUS"], config.contract["IMU_FD"]
     told = {(source, codec.frame_id + options.id_offset): codec for codec in (status, fd)}
-    wanted = frozenset(driver.keys)
     samples: list[ImuSample] = []
+    angles: list[TableSample] = []
     temperatures: list[float] = []
     told_at: list[int] = []
     serials: set[int] = set()
-    now_ns = 0
-    for frame in capture.frames():
-        place = (frame.source, frame.key)
-        if place not in wanted or frame.rx_ns < now_ns - BACKWARDS_NS:
-            continue
-        now_ns = max(now_ns, frame.rx_ns)
-        made = driver.feed(frame._replace(rx_ns=now_ns))
+    for frame, made in heard(capture, [drivers[one] for one in (name, *tables)]):
         samples += (sample for sample in made if isinstance(sample, ImuSample))
-        codec = told.get(place)
+        angles += (sample for sample in made if isinstance(sample, TableSample))
+        codec = told.get((frame.source, frame.key))
         if codec is not None and codec.crc_ok(frame.data):
             values = dict(zip(codec.signals, codec.decode(frame.data), strict=True))
             temperatures.append(float(values["TEMPERATURE_FINE"]))
@@ -152,7 +160,18 @@ def record(capture: Capture, device: str | None) -> Recorded:
     )
     utc = datetime.fromtimestamp((begin_ns + capture.utc_offset_ns) // 1_000_000_000, UTC)
     noise = noise_of(config, name)
-    return Recorded(stream, ratio, utc, serial, np.array(temperatures), file.calibration, noise)
+    table = _told(angles, t_ns, dt)
+    return Recorded(stream, table, ratio, utc, serial, np.array(temperatures), file.calibration, noise)
+
+
+def _told(angles: Sequence[TableSample], t_ns: NDArray[np.int64], dt: Vector) -> Told | None:
+    """What a table told while a unit was heard, the samples of which end at ``t_ns`` after ``dt`` s."""
+    at = np.array([one.t_ns for one in angles], dtype=np.int64)
+    inside = (at >= t_ns[0]) & (at <= t_ns[-1])
+    if not inside.any():
+        return None
+    own = np.interp(at[inside] - t_ns[0], t_ns - t_ns[0], np.cumsum(dt))
+    return Told(own, np.array([one.angles for one in angles])[inside])
 
 
 def same_unit(recorded: Sequence[Recorded]) -> int | None:

@@ -11,6 +11,10 @@
     tilt_arcsec = 20.0
     north_arcsec = 60.0
     gravity_ug = 50.0
+    position_arcsec = 0.0        # of where it comes to rest, about each axis, if no encoder tells it
+    [encoder]                    # of a table that tells its angles on the bus
+    axes = "zxy"                 # outer to inner, of the unit when all are zero: then it lies ENU
+    sigma_arcsec = 2.0
     [estimate]
     asymmetry = true             # a scale for positive and another for negative counts
     g_sensitivity = true         # of the gyros; not for optical ones
@@ -46,7 +50,7 @@ from msgspec import Meta, field
 
 from bridge.calibration import MOST_POWERS, G
 from bridge.errors import ConfigError
-from bridge.options import Positive, Three
+from bridge.options import NotNegative, Positive, Three
 from bridge.strict import Table, convert, one_of, parse, wrong
 from nav import rotation
 from nav.calibrate.intervals import Place, place_at
@@ -72,6 +76,12 @@ class _TableErrors(Table):
     tilt_arcsec: Positive = 20.0
     north_arcsec: Positive = 60.0
     gravity_ug: Positive = 50.0
+    position_arcsec: NotNegative = 0.0
+
+
+class _Encoder(Table):
+    axes: Annotated[str, Meta(pattern="^[xyz]{3}$")] = "zxy"
+    sigma_arcsec: Positive = 2.0
 
 
 class _Estimate(Table):
@@ -104,6 +114,7 @@ class _Plan(Table):
     title: str
     site: _Site | None = None
     table: _TableErrors = field(default_factory=_TableErrors)
+    encoder: _Encoder | None = None
     estimate: _Estimate = field(default_factory=_Estimate)
     temperature: _Temperature | None = None
     position: list[_Position] = field(default_factory=list)
@@ -119,12 +130,22 @@ class Site:
     gravity: float | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Encoder:
+    """The axes that a table turns about, outer to inner, when all angles are zero; ``sigma`` rad of each."""
+
+    axes: str = "zxy"
+    sigma: float = 2.0 * _ARCSEC
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """A plan as it was read: ``file`` and ``sha256`` say which; ``sigmas`` of tilt, north (rad), gravity.
 
     With ``soaks`` degC, not empty, ``steps`` are those of all of them, one after the other, and ``reference``
     degC is the temperature of scales and biases.
+    ``position`` rad is one sigma of where the table comes to rest. ``encoded``: the plan says itself that the
+    table tells its angles.
     """
 
     file: str
@@ -136,6 +157,9 @@ class Plan:
     steps: tuple[Step, ...]
     soaks: tuple[float, ...] = ()
     reference: float = 0.0
+    position: float = 0.0
+    encoder: Encoder = Encoder()
+    encoded: bool = False
 
     def at(self, site: Site | None) -> tuple[Site, Place]:
         """Where it is carried out: ``site``, or else its own.
@@ -224,6 +248,9 @@ def read(data: bytes, file: str) -> Plan:
         tuple(steps) if soaked is None else _soaked(steps, soaked, file),
         () if soaked is None else tuple(soaked.soak_deg_c),
         0.0 if soaked is None else soaked.reference_deg_c,
+        own.position_arcsec * _ARCSEC,
+        _encoder(table.encoder, file),
+        table.encoder is not None,
     )
 
 
@@ -239,6 +266,14 @@ def _soaked(steps: Sequence[Step], table: _Temperature, file: str) -> tuple[Step
             file, "temperature.reference_deg_c", table.reference_deg_c, "one between those of soak_deg_c"
         )
     return tuple(replace(one, name=f"{one.name}, {t:g} degC", temperature=t) for t in soaks for one in steps)
+
+
+def _encoder(table: _Encoder | None, file: str) -> Encoder:
+    if table is None:
+        return Encoder()
+    if table.axes[1] in (table.axes[0], table.axes[2]):
+        raise wrong(file, "encoder.axes", table.axes, "three axes of which neighbours differ")
+    return Encoder(table.axes, table.sigma_arcsec * _ARCSEC)
 
 
 def _attitude(one: _Position | _Rotation, file: str, key: str) -> tuple[str, Vector]:

@@ -151,6 +151,14 @@ class GnssFix(NamedTuple):
     satellites: int | None = None
 
 
+class TableSample(NamedTuple):
+    """Angles (3,) rad of a turntable's outer, middle and inner axis."""
+
+    t_ns: int
+    angles: Vector
+    device: str
+
+
 class MasterState(NamedTuple):
     """What a master navigator says of its own point, for a slave to be aligned from.
 
@@ -177,7 +185,7 @@ class MasterState(NamedTuple):
     device: str
 
 
-Sample = ImuSample | ImuChange | OdoSample | SpeedSample | BaroSample | GnssFix | MasterState
+Sample = ImuSample | ImuChange | OdoSample | SpeedSample | BaroSample | TableSample | GnssFix | MasterState
 
 
 class S:

@@ -25,6 +25,7 @@ from virtual_bus.scenario import Scenario
 from virtual_bus.sensors import Barometer, Gnss, GnssErrors, Imu, Odometer, SpeedLog, Warming, generator
 from virtual_bus.tables import DeviceTable
 from virtual_bus.truth import TruthState, itself
+from virtual_bus.turntable import Encoder, TableTruth, Turntable
 
 CALIBRATION = "imu_calibration.toml"
 """Name of the calibration file that goes with `Bench.config_toml`."""
@@ -224,6 +225,10 @@ class Bench:
             device = self._device("master", s.master, s.master.rate_hz)
             self.master = master_of(s.master, trajectory, noise["master"])
             streams["master"] = devices.master_frames(device, s.master, self.master)
+        if isinstance(s, Turntable) and s.encoder is not None and isinstance(trajectory, TableTruth):
+            encoder = Encoder(trajectory, s.encoder, noise["table"])
+            device = self._device("table", s.encoder, s.encoder.rate_hz)
+            streams["table"] = devices.table_frames(device, encoder.read)
         for name, stream in streams.items():
             yield faults.disturb(stream, active, name, generator(self.seed, f"{name}/faults"))
 

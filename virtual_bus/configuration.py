@@ -244,6 +244,10 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
     if s.baro is not None:
         lines += _device("baro", "baro_can", s.baro, [f"sigma_m = {max(0.01, s.baro.noise_m)!r}"])
 
+    devices = s.devices()
+    if "table" in devices:  # which no navigator hears
+        lines += _device("table", "table_can", devices.pop("table"), [], 1e-6 * FRAME_NS)
+
     v = s.vehicle
     # a slave is a vehicle of its own, its axes the IMU's
     mounting_deg, sigma_deg = (
@@ -277,7 +281,7 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
     mounting = '"find"' if s.navigator.find_mounting else _vector(np.array(mounting_deg))
     lines += [
         "[navigator.main]",
-        "devices = [" + ", ".join(_text(name) for name in s.devices()) + "]",
+        "devices = [" + ", ".join(_text(name) for name in devices) + "]",
         f"alignment = {_text(s.navigator.alignment)}",
         f"autostart = {str(s.navigator.autostart).lower()}",
         f"mounting_deg = {mounting}",

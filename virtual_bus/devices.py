@@ -228,6 +228,23 @@ def baro_frames(device: Device, baro: Barometer) -> Iterator[BusFrame]:
     return _plain(device, values, "BARO")
 
 
+def table_frames(device: Device, encoder: Callable[[Times], NDArray[np.float64]]) -> Iterator[BusFrame]:
+    """TABLE_ANGLES and TABLE_INNER; ``encoder`` reads the angles (n, 3) deg at times (n,)."""
+    angles, inner = contract()["TABLE_ANGLES"], contract()["TABLE_INNER"]
+    alive = device.counter(angles.alive_modulus)
+    channel = device.table.channel
+    for block in device.blocks():
+        if block.fresh:
+            alive.restart()
+        read = encoder(block.t_ns[1:])
+        time_us = (block.device_ns[1:] // US % (1 << 27)).tolist()
+        rows = zip(block.t_ns[1:].tolist(), block.send_ns.tolist(), time_us, read.tolist(), strict=True)
+        for t, send, us, (a, b, c) in rows:
+            count = alive.next(t)
+            yield BusFrame(send, channel, angles.frame_id, angles.encode(count, 1, a, b), False)
+            yield BusFrame(send + FRAME_NS, channel, inner.frame_id, inner.encode(count, c, us), False)
+
+
 def _plain(
     device: Device, values: Callable[[Block], list[tuple[float, ...]]], name: str
 ) -> Iterator[BusFrame]:

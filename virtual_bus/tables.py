@@ -128,6 +128,17 @@ class BaroTable(DeviceTable):
     noise_m: NotNegative = 0.3
 
 
+class EncoderTable(DeviceTable):
+    """Encoders of a turntable's outer, middle and inner axis, which turn about ``axes`` when all are zero.
+
+    A reading is wrong by up to ``sigma_arcsec`` (rms over a turn): the circle that is read is off its centre.
+    """
+
+    axes: str = "zxy"
+    sigma_arcsec: NotNegative = 2.0
+    rate_hz: Rate = 50.0
+
+
 class GnssTable(DeviceTable):
     """``[gnss]``: sigmas are [horizontal per axis, vertical]."""
 

@@ -7,18 +7,20 @@ so the sensors feel the Earth's rate and gravity; the unit's sensors are in the 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from virtual_bus import ellipsoid
 from virtual_bus.ellipsoid import OMEGA
 from virtual_bus.manoeuvres import Blend, Profile, Static, smooth, smooth_area
 from virtual_bus.scenario import Scenario
-from virtual_bus.tables import ImuTable, NavigatorTable, Start
+from virtual_bus.tables import DeviceTable, EncoderTable, ImuTable, NavigatorTable, Start
 from virtual_bus.truth import Motion, Times, Trajectory, Vehicle
 
 Array = NDArray[np.float64]
@@ -26,6 +28,8 @@ Array = NDArray[np.float64]
 _RAMP_S: Final = 1.0
 _SLEW: Final = math.radians(20.0)  # rad/s, fastest between two positions
 _SAME: Final = 1e-9  # rad
+_STEP_DEG: Final = 2e-5  # of the angles on the bus
+_STEPS: Final = 18_000_000
 _NODES, _WEIGHTS = (part.tolist() for part in np.polynomial.legendre.leggauss(4))
 
 
@@ -51,11 +55,15 @@ Move = Hold | Spin
 
 @dataclass(frozen=True, slots=True)
 class TableErrors:
-    """One sigma of what is wrong with table and place, SI: tilt, north (rad), gravity (m/s^2)."""
+    """One sigma of what is wrong with table and place, SI: tilt, north (rad), gravity (m/s^2).
+
+    ``position`` rad is how far it comes to rest from where it should, about each axis of the unit.
+    """
 
     tilt: float = 0.0
     north: float = 0.0
     gravity: float = 0.0
+    position: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +121,7 @@ class TableTruth(Trajectory):
         assert isinstance(first, Hold)
         stands = np.eye(3) if C_gt is None else C_gt
         self.pieces: list[_Piece] = []
+        self.C_gt = stands
         self._C = [stands @ first.C_gb]
         for move in moves:
             if isinstance(move, Spin):
@@ -188,6 +197,29 @@ class TableTruth(Trajectory):
         )
 
 
+class Encoder:
+    """Reads the angles of a table's axes, each off by as much as its circle is from its centre.
+
+    ``rng`` draws where on the circle that is.
+    """
+
+    def __init__(self, table: TableTruth, options: EncoderTable, rng: np.random.Generator) -> None:
+        self._table = table
+        self._axes = options.axes.upper()  # about axes that are carried along
+        self._off = math.sqrt(2.0) * options.sigma_arcsec / 3600.0
+        self._where = 2.0 * math.pi * rng.random(3)
+
+    def read(self, t_ns: Times) -> Array:
+        """Angles (n, 3) deg at times (n,), from 0 to a turn, in steps of the bus."""
+        C_tb = self._table.C_gt.T @ self._table.motion(t_ns).C_gv
+        with warnings.catch_warnings():
+            # with the outer and the inner axis along each other one of their angles is free
+            warnings.simplefilter("ignore", UserWarning)
+            angles = Rotation.from_matrix(C_tb).as_euler(self._axes)
+        read = np.degrees(angles) + self._off * np.sin(angles + self._where)
+        return np.asarray(np.rint(read / _STEP_DEG) % _STEPS * _STEP_DEG)
+
+
 def _course(piece: _Piece, t: Array) -> tuple[Array, Array]:
     """Angle and rate (n,) of a piece ``t`` (n,) s after its beginning."""
     x = np.clip(t / piece.seconds, 0.0, 1.0)
@@ -205,13 +237,21 @@ class Turntable(Scenario, kw_only=True):
     moves: tuple[Move, ...]
     errors: TableErrors
     gravity: float
+    encoder: EncoderTable | None = None
+
+    def devices(self) -> dict[str, DeviceTable]:
+        """The unit, and the table's encoders where it has some."""
+        tables = super().devices()
+        return tables if self.encoder is None else {**tables, "table": self.encoder}
 
     def trajectory(self, seconds: float, rng: np.random.Generator) -> Trajectory:
         """The table's motion; ``rng`` draws its errors, the last rest going on as long as is asked for."""
         delta, g = self.drawn(rng)
         angle = float(np.linalg.norm(delta))
         C_gt = _about(delta / angle, np.array([angle]))[0] if angle else None
-        moves = (*self.moves, Hold(self._last(), max(seconds - self.seconds(), 1.0)))
+        more = max(seconds - self.seconds(), 1.0)
+        moves = self._carried_out(rng)
+        moves.append(Hold(next(move.C_gb for move in reversed(moves) if isinstance(move, Hold)), more))
         return TableTruth(moves, math.radians(self.start.lat_deg), self.start.height_m, g, C_gt)
 
     def drawn(self, rng: np.random.Generator) -> tuple[Array, float]:
@@ -219,8 +259,31 @@ class Turntable(Scenario, kw_only=True):
         e, z = self.errors, rng.standard_normal(4)
         return z[:3] * np.array([e.tilt, e.tilt, e.north]), self.gravity + e.gravity * float(z[3])
 
-    def _last(self) -> Array:
-        return next(move.C_gb for move in reversed(self.moves) if isinstance(move, Hold))
+    def _carried_out(self, rng: np.random.Generator) -> list[Move]:
+        """The moves with the errors of where they end, in every new attitude and of every spin's angle.
+
+        An attitude that is wrong leaves the axis wrong about which a spin turns the unit.
+        """
+        sigma = self.errors.position
+        if not sigma:
+            return list(self.moves)
+        made: list[Move] = []
+        wanted: Array | None = None
+        at = C_off = np.eye(3)
+        for move in self.moves:
+            if isinstance(move, Spin):
+                angle = move.angle + sigma * float(rng.standard_normal())
+                axis = C_off.T @ move.axis
+                at = at @ _about(axis, np.array([angle]))[0]
+                made.append(Spin(axis, move.rate, angle))
+                continue
+            if wanted is None or not np.array_equal(wanted, move.C_gb):
+                off = sigma * rng.standard_normal(3)
+                size = float(np.linalg.norm(off))
+                C_off = _about(off / size, np.array([size]))[0]
+                wanted, at = move.C_gb, move.C_gb @ C_off
+            made.append(Hold(at, move.seconds))
+        return made
 
 
 def turntable(
@@ -232,6 +295,7 @@ def turntable(
     gravity: float,
     errors: TableErrors,
     rate_hz: float,
+    encoder: EncoderTable | None = None,
 ) -> Turntable:
     """The scenario of a table that makes ``moves``, the first of them a `Hold`; ``rate_hz`` is the unit's."""
     seconds = float(sum(piece.seconds for piece in TableTruth(moves, 0.0, 0.0, gravity).pieces))
@@ -245,4 +309,5 @@ def turntable(
         moves=tuple(moves),
         errors=errors,
         gravity=gravity,
+        encoder=encoder,
     )

@@ -92,6 +92,7 @@ def _promise(args: argparse.Namespace, plan: Any, site: Any) -> int:
     name, options = unit_of(config, args.device)
     nominal = Nominal.of(read_calibration(config.files[options.calibration], options.calibration).calibration)
     model = calibrating.model_of(plan, plan.at(site)[1], nominal)
-    seen = calibrating.look(plan, model, noise_of(config, name))
+    noise = calibrating.with_table(noise_of(config, name), plan, plan.encoded)
+    seen = calibrating.look(plan, model, noise)
     print("\n".join(calibrating.promise_lines(model, seen)), flush=True)
     return 0

@@ -20,6 +20,7 @@ from bridge.drivers.master_can import MasterCan, MasterCanOptions
 from bridge.drivers.odometer_can import OdometerCan, OdometerCanOptions
 from bridge.drivers.sensors_mavlink import SensorsMavlink, SensorsMavlinkOptions
 from bridge.drivers.speed_can import SpeedCan, SpeedCanOptions
+from bridge.drivers.table_can import TableCan, TableCanOptions
 
 
 def _always(kind: str) -> Callable[[Any], frozenset[str]]:
@@ -38,6 +39,7 @@ DRIVERS: dict[str, Entry] = {
     "gnss_can": Entry(GnssCanOptions, GnssCan, "can", _always("gnss")),
     "baro_can": Entry(BaroCanOptions, BaroCan, "can", _always("baro")),
     "master_can": Entry(MasterCanOptions, MasterCan, "can", _always("master")),
+    "table_can": Entry(TableCanOptions, TableCan, "can", _always("table")),
     "sensors_mavlink": Entry(
         SensorsMavlinkOptions, SensorsMavlink, "mavlink", SensorsMavlinkOptions.provides
     ),

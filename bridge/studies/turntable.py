@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from bridge.calibration_plan import Plan, Site
 from bridge.strict import wrong
 from nav.calibrate.plan import Position
+from virtual_bus.tables import EncoderTable
 from virtual_bus.turntable import Hold, Move, Spin, TableErrors, Turntable, turntable
 
 RATE_HZ: Final = 200.0
@@ -39,8 +40,15 @@ def scenario_of(
             rest = Hold(step.C_gb, _REST_S)
             angle = float(np.sign(step.rate)) * 2.0 * np.pi * step.turns
             moves += [rest, Spin(step.axis, abs(step.rate), angle), rest]
-    errors = TableErrors(*plan.sigmas)
-    made = turntable(plan.title, grade, moves, where.lat_deg, where.height_m, place.gravity, errors, rate_hz)
+    errors = TableErrors(*plan.sigmas, plan.position)
+    encoder = None
+    if plan.encoded:
+        encoder = EncoderTable(
+            axes=plan.encoder.axes, sigma_arcsec=float(np.degrees(plan.encoder.sigma)) * 3600.0
+        )
+    made = turntable(
+        plan.title, grade, moves, where.lat_deg, where.height_m, place.gravity, errors, rate_hz, encoder
+    )
     if soak is None:
         return made
     return replace(made, imu=replace(made.imu, temperature_deg_c=(soak, soak)))

@@ -11,12 +11,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
 from nav import rotation
-from nav.earth import earth_rate_g, normal_gravity
+from nav.earth import EARTH_RATE, earth_rate_g, normal_gravity
 from nav.types import Vector
+
+_GRAVITY: Final = 9.80665  # m/s^2, near enough for a sigma
+_SAME: Final = 0.1  # of an attitude: neighbours in a plan are further apart
 
 
 def _none() -> Vector:
@@ -103,6 +107,29 @@ def turning(C_gb: Vector, turned: Vector, angle: Vector, dt: Vector) -> tuple[Ve
         np.asarray(np.einsum("kji,k->ij", C, dt) @ np.asarray(C_gb).T),
         np.asarray(np.einsum("ki,kj,k->ij", up, up, dt)),
     )
+
+
+def unsure(intervals: Sequence[Interval], axis: Vector, gyro: bool, attitude: float, turn: float) -> Vector:
+    """Covariance (k, k) that a table which does not stand or turn as told adds to the sums of one sensor, SI.
+
+    ``axis`` (3,) is the sensor's; ``attitude`` rad is one sigma of an attitude about each axis of b, the same
+    every time that the table takes it up, ``turn`` rad that of the angle of a rotation.
+    """
+    seconds = np.array([one.seconds for one in intervals])
+    turned = np.array([one.turned for one in intervals]).reshape(-1, 3)
+    mean = np.array([one.attitude / one.seconds for one in intervals]).reshape(-1, 3, 3)
+    seen = turned if gyro else _GRAVITY * seconds[:, None] * mean[:, :, 2]
+    across = attitude * np.cross(seen, axis)
+    apart = np.abs(mean[:, None] - mean[None]).max(axis=(2, 3))
+    out = across @ across.T
+    if gyro:  # and the Earth's rate, wherever it points
+        earth = attitude * np.sqrt(2.0 / 3.0) * EARTH_RATE * seconds
+        out += np.outer(earth, earth)
+    out = np.where(apart < _SAME, out, 0.0)
+    if gyro:
+        angle = np.linalg.norm(turned, axis=1)
+        out += np.diag((turn * (turned @ axis) / np.where(angle > 0.0, angle, 1.0)) ** 2)
+    return np.asarray(out)
 
 
 def covariance(

@@ -1,7 +1,8 @@
 """From the samples of captures to the intervals of a plan, and what does not fit when it does not.
 
 Rests are found in the counts themselves; each is compared with the plan by where gravity is and by how the
-unit was turned since the rest before, as well as a rough calibration can tell.
+unit was turned since the rest before, as well as a rough calibration can tell. Where the table tells its
+angles, attitudes and what it turned by are as told and no longer the plan's, which must only be near.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from nav import rotation
+from nav.calibrate.encoder import Encoder
 from nav.calibrate.intervals import Interval, resting, sums, turning
 from nav.calibrate.model import LETTERS
 from nav.calibrate.plan import Position, Rotation, Step, letters_of
@@ -27,6 +29,7 @@ _SHORTEST_S: Final = 3.0 * SETTLE_S
 _DWELL: Final = 0.8  # of its planned time a position must have rested
 _ANGLE: Final = np.radians(6.0)  # what a rough calibration may make of an attitude
 _TURNED: Final = 0.03  # what it may make of a rotation, as a share
+_TOLD: Final = np.radians(3.0)  # from the plan's attitude to that of an encoder
 
 
 class Disagreement(ValueError):
@@ -58,7 +61,10 @@ def segment(
             raise Disagreement(swapped) from None
         raise
     true = {id(stream): ratio for stream, ratio in zip(streams, ratios, strict=True)}
-    return [_interval(step, rest, true[id(rest[-1].stream)], nominal) for step, rest in found]
+    return [
+        _interval(step, rest, true[id(rest[-1].stream)], nominal, *_shown(number, step, rest))
+        for number, (step, rest) in enumerate(found)
+    ]
 
 
 def _up(C_gb: Vector) -> Vector:
@@ -115,12 +121,49 @@ def _match(reading: _Reading, steps: Sequence[Step]) -> Iterator[tuple[Step, tup
         after = reading.rests[at + 1]
         _require_sound(step, (rest, after))
         if np.linalg.norm(after.swept - step.turned) > _TURNED * np.linalg.norm(step.turned):
-            raise Disagreement(
-                f"{_title(number, step)}: the plan turns by {_degrees(step.turned)} deg about x, y, z, the "
-                f"capture by {_degrees(after.swept)}"
-            )
+            raise Disagreement(_otherwise(number, step, step.turned, after.swept, "capture"))
         at += 1
         yield step, (rest, after)
+
+
+def _otherwise(number: int, step: Step, planned: Vector, seen: Vector, whose: str) -> str:
+    return (
+        f"{_title(number, step)}: the plan turns by {_degrees(planned)} deg about x, y, z, the {whose} by "
+        f"{_degrees(seen)}"
+    )
+
+
+def _shown(number: int, step: Step, found: tuple[Rest, ...]) -> tuple[Vector, Vector]:
+    """Attitude C_gb (3, 3) at the beginning of a step and what it turns by (3,) rad, as told or planned."""
+    encoder = found[0].stream.encoder
+    turned = np.zeros(3) if isinstance(step, Position) else step.turned
+    if encoder is None:
+        return step.C_gb, turned
+    told = [_told(number, step, encoder, rest) for rest in found]
+    if isinstance(step, Position):
+        return told[0], turned
+    stream, inside = found[0].stream, _used(step, found)
+    seen = encoder.turned(told[0], stream.time(inside.start), stream.time(inside.stop), told[1])
+    if np.linalg.norm(seen - turned) > np.pi:
+        raise Disagreement(_otherwise(number, step, turned, seen, "table's encoder"))
+    return told[0], seen
+
+
+def _told(number: int, step: Step, encoder: Encoder, rest: Rest) -> Vector:
+    """The attitude (3, 3) in which the encoder says that the table rested."""
+    stream, inside = rest.stream, _inside(rest)
+    C_gb = encoder.attitude(stream.time(inside.start), stream.time(inside.stop))
+    if C_gb is None:
+        raise Disagreement(f"{_title(number, step)}: no angle of the table in it ({stream.name})")
+    off = _apart(C_gb, step.C_gb)
+    if off > _TOLD:
+        letters = letters_of(np.round(C_gb))
+        text = f", about {letters}" if letters is not None else ""
+        raise Disagreement(
+            f"{_title(number, step)}: the table's encoder tells an attitude{text}, {np.degrees(off):.1f} deg "
+            "from the plan's"
+        )
+    return C_gb
 
 
 def _carried(C: Vector | None, before: Rest | None, rest: Rest) -> Vector | None:
@@ -213,11 +256,21 @@ def _named(P: Vector) -> str:
     return ", ".join(words)
 
 
+def _settle(stream: Stream) -> int:
+    return round(SETTLE_S / float(np.median(stream.dt)))
+
+
+def _inside(rest: Rest) -> slice:
+    """The samples of a rest, without its ends."""
+    settle = _settle(rest.stream)
+    return slice(rest.first + settle, rest.last - settle)
+
+
 def _used(step: Step, found: tuple[Rest, ...]) -> slice:
     """The samples of a step: the inside of a rest, or a rotation with some rest at either end."""
-    settle = round(SETTLE_S / float(np.median(found[0].stream.dt)))
     if isinstance(step, Position):
-        return slice(found[0].first + settle, found[0].last - settle)
+        return _inside(found[0])
+    settle = _settle(found[0].stream)
     before, after = found
     return slice(max(before.first, before.last - settle), min(after.last, after.first + settle))
 
@@ -231,27 +284,27 @@ def _require_sound(step: Step, found: tuple[Rest, ...]) -> None:
             raise Disagreement(f"{step.name}: {word} in {count} samples ({stream.name})")
 
 
-def _interval(step: Step, found: tuple[Rest, ...], ratio: float, nominal: Nominal) -> Interval:
-    """The sums of a step over its samples, and where the table was meanwhile."""
+def _interval(
+    step: Step, found: tuple[Rest, ...], ratio: float, nominal: Nominal, C_gb: Vector, turned: Vector
+) -> Interval:
+    """The sums of a step over its samples, and where the table was: from ``C_gb`` on it ``turned``."""
     stream = found[0].stream
     inside = _used(step, found)
     counts, dt = stream.counts[inside], stream.dt[inside] * ratio
     plus, minus = sums(counts)
-    turned = np.zeros(3)
     if isinstance(step, Position):
-        shown = resting(step.C_gb, float(dt.sum()))
+        shown = resting(C_gb, float(dt.sum()))
     else:
-        turned = step.turned
         # the rest before it says what of the rate is bias
         settle = inside.stop - found[1].first
         still = slice(max(found[0].first, inside.start - 5 * settle), found[0].last - round(BLOCK_S * settle))
         rate = nominal.motion(stream.counts[still], stream.dt[still])[0].sum(axis=0) / stream.dt[still].sum()
         angle = (nominal.motion(counts, dt)[0] - rate * dt[:, None]) @ step.axis
-        shown = turning(step.C_gb, turned, np.concatenate((np.zeros(1), np.cumsum(angle))), dt)
+        shown = turning(C_gb, turned, np.concatenate((np.zeros(1), np.cumsum(angle))), dt)
     return Interval(
         step.name,
         isinstance(step, Rotation),
-        stream.begin + float(stream.dt[: inside.start].sum()),
+        stream.begin + stream.time(inside.start),
         float(dt.sum()),
         turned,
         *shown,

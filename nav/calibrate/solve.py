@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 from scipy.linalg import solve_triangular
 
-from nav.calibrate.intervals import Interval, covariance
+from nav.calibrate.intervals import Interval, covariance, unsure
 from nav.calibrate.model import Model, Sensor
 from nav.calibrate.start import start
 from nav.types import Vector
@@ -23,20 +23,26 @@ _TAIL: Final = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Noise of a unit: white densities (rad/s, m/s^2 per root Hz), instabilities (sigma) and their time s."""
+    """Noise of a unit: white densities (rad/s, m/s^2 per root Hz), instabilities (sigma) and their time s.
+
+    ``attitude`` rad is one sigma of the attitude in which the table rests, ``turn`` rad of what it turns by.
+    """
 
     gyro_walk: float
     gyro_instability: float
     accel_walk: float
     accel_instability: float
     correlation: float
+    attitude: float = 0.0
+    turn: float = 0.0
 
     def covariance(self, one: Sensor, intervals: Sequence[Interval]) -> Vector:
         """Covariance (k, k) of a sensor's sums over ``intervals``, SI."""
         walk, drift = (
             (self.gyro_walk, self.gyro_instability) if one.gyro else (self.accel_walk, self.accel_instability)
         )
-        return covariance(intervals, walk, drift, self.correlation, one.scale)
+        own = covariance(intervals, walk, drift, self.correlation, one.scale)
+        return own + unsure(intervals, one.axis, one.gyro, self.attitude, self.turn)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from nav import rotation
+from nav.calibrate.encoder import Encoder
 from nav.imu.pulses import Calibration
 from nav.types import Vector
 
@@ -54,7 +55,8 @@ class Stream:
     """Samples of one capture in order: ``begin`` s, intervals ``dt`` (k,) s, ``counts`` (k, n + m) pulses.
 
     ``bad`` names what is wrong with samples: from a word to the places (k,) where it holds. ``name`` is for
-    people. ``temperature`` (k,) degC is empty where the unit did not tell it.
+    people. ``temperature`` (k,) degC is empty where the unit did not tell it; ``encoder`` is what the table
+    told of itself, where it did.
     """
 
     name: str
@@ -63,6 +65,11 @@ class Stream:
     counts: Vector
     bad: dict[str, Vector]
     temperature: Vector = field(default_factory=lambda: np.zeros(0))
+    encoder: Encoder | None = None
+
+    def time(self, place: int) -> float:
+        """When sample number ``place`` begins, s of the unit's clock since the stream's beginning."""
+        return float(self.dt[:place].sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

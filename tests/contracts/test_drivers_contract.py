@@ -20,7 +20,15 @@ from bridge.options import SOURCE_OPTIONS, DeviceOptions
 from bridge.outputs import DeviceHealth
 from bridge.strict import convert
 from nav.align import ALIGNMENTS
-from nav.types import BaroSample, GnssFix, ImuSample, MasterState, OdoSample, SpeedSample
+from nav.types import (
+    BaroSample,
+    GnssFix,
+    ImuSample,
+    MasterState,
+    OdoSample,
+    SpeedSample,
+    TableSample,
+)
 from tests.drivers.made import CALIBRATION
 
 KINDS = {
@@ -30,6 +38,7 @@ KINDS = {
     "gnss": GnssFix,
     "baro": BaroSample,
     "master": MasterState,
+    "table": TableSample,
 }
 
 DBC = b"""VERSION ""

@@ -146,6 +146,7 @@ def test_the_contract_of_identifiers() -> None:
         "IMU_GYRO_2": 0x105, "IMU_ACCEL_2": 0x106,
         "IMU_FD": 0x110,
         "ODO": 0x120, "SPEED": 0x121, "BARO": 0x122,
+        "TABLE_ANGLES": 0x128, "TABLE_INNER": 0x129,
         "GNSS_TIME": 0x130, "GNSS_LAT": 0x131, "GNSS_LON": 0x132, "GNSS_HEIGHT": 0x133, "GNSS_VEL": 0x134,
         "GNSS_ACC": 0x135, "MASTER_TIME": 0x140, "MASTER_LAT": 0x141, "MASTER_LON": 0x142,
         "MASTER_HEIGHT": 0x143, "MASTER_VEL_H": 0x144, "MASTER_VEL_U": 0x145, "MASTER_LEVEL": 0x146,
