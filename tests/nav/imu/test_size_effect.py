@@ -1,5 +1,7 @@
 """Accelerometers that sit apart: formulas against vectors and places, the live twin, the fit of arms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -112,7 +114,7 @@ def test_compensation_inverts_what_pulses_and_arms_make():
 def test_arms_do_not_touch_the_compensation_of_pulses():
     """(5-23): one half knows nothing of the other."""
     c = unit(6)
-    without = Calibration(*(getattr(c, name) for name in c.__slots__ if name != "accel_arms"))
+    without = replace(c, accel_arms=np.zeros((3, 3)))
     np.testing.assert_array_equal(c.table(), without.table())
     counts = np.array([500.0, -300.0, 200.0])
     got = compensate_readable(c, counts, counts, 0.01)
