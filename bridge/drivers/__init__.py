@@ -17,6 +17,7 @@ from bridge.drivers.dbc_map_options import DbcMapOptions
 from bridge.drivers.gnss_can import GnssCan, GnssCanOptions
 from bridge.drivers.imu_can import ImuCan, ImuCanOptions
 from bridge.drivers.master_can import MasterCan, MasterCanOptions
+from bridge.drivers.master_mavlink import MasterMavlink, MasterMavlinkOptions
 from bridge.drivers.odometer_can import OdometerCan, OdometerCanOptions
 from bridge.drivers.sensors_mavlink import SensorsMavlink, SensorsMavlinkOptions
 from bridge.drivers.speed_can import SpeedCan, SpeedCanOptions
@@ -39,6 +40,7 @@ DRIVERS: dict[str, Entry] = {
     "gnss_can": Entry(GnssCanOptions, GnssCan, "can", _always("gnss")),
     "baro_can": Entry(BaroCanOptions, BaroCan, "can", _always("baro")),
     "master_can": Entry(MasterCanOptions, MasterCan, "can", _always("master")),
+    "master_mavlink": Entry(MasterMavlinkOptions, MasterMavlink, "mavlink", _always("master")),
     "table_can": Entry(TableCanOptions, TableCan, "can", _always("table")),
     "sensors_mavlink": Entry(
         SensorsMavlinkOptions, SensorsMavlink, "mavlink", SensorsMavlinkOptions.provides

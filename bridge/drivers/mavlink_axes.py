@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -25,6 +26,21 @@ _ABS_PRESSURE: Final = 1 << 9
 def turned(x: float, y: float, z: float) -> Vector:
     """Front-right-down to right-forward-up, and north-east-down to east-north-up: the same half turn."""
     return np.array((y, x, -z), dtype=np.float64)
+
+
+def attitude(q: Sequence[float]) -> Vector:
+    """Quaternion (4,) from right-forward-up to east-north-up of one from front-right-down to north-east-down.
+
+    Both pairs of axes differ by the same half turn, so the vector part turns as a vector does. Raises
+    ValueError for what is no rotation.
+    """
+    w, x, y, z = q
+    found = np.array((w, *turned(x, y, z)))
+    length = float(np.linalg.norm(found))
+    # single precision is good to 1e-7; written so that a NaN fails too
+    if not abs(length - 1.0) < 1e-3:
+        raise ValueError("a quaternion that is no rotation")
+    return np.asarray(found / length)
 
 
 class Inertial(NamedTuple):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Final
 
@@ -16,6 +15,7 @@ from bridge.drivers.base import Context
 from bridge.drivers.counters import Counters
 from bridge.drivers.device_clock import ClockPort, DeviceClock
 from bridge.drivers.mavlink_axes import Inertial, inertial, position
+from bridge.drivers.mavlink_packets import Packets
 from bridge.frame import RawFrame
 from bridge.options import DeviceOptions, Positive, Sigmas
 from bridge.outputs import Reject
@@ -84,7 +84,7 @@ class SensorsMavlink:
         self.counters = Counters()
         self._name = context.name
         self._options = options
-        self._parser = dialect.MAVLink(None)
+        self._packets = Packets(options.system_id, options.component_id, self.counters)
         handlers: dict[str, Callable[[Any, int], Sequence[Sample]]] = {
             **dict.fromkeys(_IMU, self._inertial),
             **dict.fromkeys(_GNSS, self._gnss),
@@ -108,20 +108,11 @@ class SensorsMavlink:
     def feed(self, frame: RawFrame) -> Sequence[Sample]:
         """The samples in a packet."""
         counters = self.counters
-        counters.frames += 1
-        try:
-            message = self._parser.decode(bytearray(frame.data))
-        except (dialect.MAVError, IndexError, TypeError, ValueError, struct.error):
-            # pymavlink's one exception does not say which it was
-            return counters.reject(Reject.CRC if len(frame.data) >= 8 else Reject.LENGTH)
+        message = self._packets.message(frame)
+        if message is None:
+            return ()
         handler = self._handlers.get(message.get_msgId())
-        options = self._options
-        if (
-            handler is None
-            or (options.system_id and message.get_srcSystem() != options.system_id)
-            or (options.component_id and message.get_srcComponent() != options.component_id)
-            or ("id" in message.fieldnames and message.id != options.sensor_id)
-        ):
+        if handler is None or ("id" in message.fieldnames and message.id != self._options.sensor_id):
             return counters.reject(Reject.UNKNOWN)
         try:
             samples = handler(message, frame.rx_ns)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bridge.geoid import undulation
-from nav.earth import ecef, position_quat
+from nav.earth import ecef, geodetic, position_quat
 from nav.rotation import multiply, quat_conjugate, quat_multiply, rotate
-from nav.types import S, Solution
+from nav.types import S, Solution, Vector
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
@@ -95,6 +95,15 @@ class LocalFrame:
         d = ecef(lat, lon, height) - self._origin
         n, e, down = (float(row[0] * d[0] + row[1] * d[1] + row[2] * d[2]) for row in self._c_ne)
         return n, e, down
+
+    def there(self, n: float, e: float, down: float) -> tuple[float, float, float, Vector]:
+        """Latitude, longitude (rad), height (m) of a place in this frame (m), and what is turned on the way.
+
+        That is the quaternion (4,) from east-north-up at the origin to east-north-up there.
+        """
+        lat, lon, height = (float(x) for x in geodetic(self._origin + np.array((n, e, down)) @ self._c_ne))
+        q_gl = quat_multiply(quat_conjugate(position_quat(lat, lon)), position_quat(self.lat, self.lon))
+        return lat, lon, height, q_gl
 
     def seen(self, ned: Ned) -> Ned:
         """``ned`` with velocity, attitude and sigmas along this frame's axes; its place stays geodetic.

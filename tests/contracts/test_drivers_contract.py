@@ -59,6 +59,7 @@ LEAST: dict[str, dict[str, Any]] = {
     "imu_can": {"calibration": "cal.toml", "rate_hz": 200.0},
     "odometer_can": {"m_per_tick": 0.1},
     "sensors_mavlink": {"messages": ["HIGHRES_IMU", "GPS_INPUT", "WHEEL_DISTANCE"], "rate_hz": 100.0},
+    "master_mavlink": {"system_id": 1},
     "dbc_map": {
         "dbc": "unit.dbc",
         "imu": {

@@ -13,10 +13,13 @@ from bridge.engine import Engine
 from bridge.errors import ConfigError
 from bridge.navigators import navigator_config
 from bridge.outputs import ModeChange, Output, Progress, SolutionOut, Text, Transfer, Transmit
+from bridge.studies.transfer_scene import scene
 from dbc.codec import contract
 from nav import rotation as rot
+from nav.events import TransferProgress
+from nav.navigator import Navigator
 from nav.transfer import MATCHINGS, PREFIX, methods
-from nav.types import Mode, S, SolutionFlag
+from nav.types import ImuSample, MasterState, Mode, S, Solution, SolutionFlag
 from tests.engine.made import START_NS, bench_frames, fed
 from virtual_bus.bus import Bench
 from virtual_bus.master import master_of
@@ -201,3 +204,26 @@ def test_the_same_frames_give_the_same_bits() -> None:
         fed(engine, frames)
         digests.append(engine.digests())
     assert digests[0] == digests[1]
+
+
+def test_a_scene_without_a_bus_has_the_same_truth_and_set_up() -> None:
+    bench = Bench("transfer", seed=5, seconds=6.0)
+    made = scene(bench.scenario, 5, 6.0)
+    kinds = [type(sample) for sample in made.samples]
+    # 200 samples and 50 messages a second, those of the first instant and of the last included
+    assert (kinds.count(ImuSample), kinds.count(MasterState)) == (1200, 301)
+    now, then = made.flown.trajectory.state(4_000_000_000), bench.trajectory.state(4_000_000_000)
+    assert now.q_gb.tolist() == then.q_gb.tolist()
+    assert made.config.align.transfer is not None
+    assert made.config.align.transfer.lever_arm.tolist() == bench.scenario.lever_arm().tolist()
+    navigator = Navigator(made.config)
+    navigator.start(0)
+    said = [event for sample in made.samples for event in navigator.step(sample)]
+    assert navigator.mode is Mode.NAVIGATE
+    last = [event for event in said if isinstance(event, TransferProgress)][-1]
+    solution = [event for event in said if isinstance(event, Solution)][-1]
+    truth = made.flown.trajectory.state(solution.t_ns)
+    off = rot.quat_multiply(truth.q_gb, rot.quat_conjugate(solution.state[S.Q]))
+    own = made.flown.master.errors(np.array([solution.t_ns]))[0][0]
+    # chi-square of three at 99.9 %
+    assert np.sum(((rot.rotvec_from_quat(off) - own) / np.array(last.sigma)) ** 2) < 16.3
