@@ -104,7 +104,7 @@ class TransferConfig:
     sigma_attitude: float = 3e-4
     sigma_position: float = 2.0
     sigma_rate: float = 1e-3
-    latency: float = 0.005
+    latency: float = 0.01
     latest_s: float = 0.5
     flexure: Vector | None = None
     flexure_time: Vector = field(default_factory=lambda: np.full(3, 0.5))

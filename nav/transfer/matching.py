@@ -80,6 +80,11 @@ class Matching:
         return mask
 
     @property
+    def white(self) -> bool:
+        """Whether it estimates what matters, so that its innovations have nothing in common."""
+        return set(_states(VELOCITY, PHI, *_BIASES)) <= set(self.estimated)
+
+    @property
     def needs(self) -> frozenset[str]:
         """Parts of `nav.types.MasterState`, beyond the first attitude, that it cannot do without."""
         named = (("q_ga", self.attitude), ("w_ia_a", self.rate))

@@ -48,20 +48,27 @@ Matrix = NDArray[np.float64]
 MARKOV: Final = 2.146
 """Natural rate of a second-order Markov process times its correlation time (where 1/e is left of it)."""
 _KEPT: Final = np.array([k for k in range(house.FULL) if not 15 <= k < house.BASIC])
+CURVED: Final = 0.1
+"""Of what the delay's uncertainty does to a row: more that is no straight line makes it useless."""
 _EYE: Final = np.eye(3)
+_ZERO: Final = np.zeros(3)
 
 
 class Instant(NamedTuple):
     """How the slave moves at a message's time: in b rate ``w_b`` and its change ``dw_b``, in n acceleration.
 
     ``w_b`` (3,) rad/s with respect to inertial space, corrected; ``dw_b`` rad/s^2; ``a_n`` (3,) m/s^2 rate of
-    v_n. ``sigma_w`` rad/s is the noise of w_b.
+    v_n. ``sigma_w`` rad/s is the noise of w_b. ``spread`` s is sqrt(3) sigma of the delay; of as long before
+    and after: ``turns`` (2, 3) rad turned in between, and ``rates`` (2, 3) rad/s there, less w_b.
     """
 
     w_b: Vector
     dw_b: Vector
     a_n: Vector
     sigma_w: float
+    spread: float
+    turns: Matrix
+    rates: Matrix
 
 
 def place(states: slice) -> slice:
@@ -172,11 +179,35 @@ def azimuth(x: Vector, lat: float, lon: float) -> Matrix:
 
 
 class Rows(NamedTuple):
-    """Rows in n (rates: in b): ``r`` (3,) computed minus measured, ``H`` (3, SIZE), ``R`` (3, 3)."""
+    """Rows in n (rates: in b): ``r`` (3,) computed minus measured, ``H`` (3, SIZE), ``R`` (3, 3).
+
+    Not ``straight``: they depend on the delay by no straight line over what is known of it, and are useless.
+    """
 
     r: Vector
     H: Matrix
     R: Matrix
+    straight: bool = True
+
+
+class Line(NamedTuple):
+    """What a delay does to a row: its ``slope`` (3,) per second, and ``bend`` (3,) from a straight line."""
+
+    slope: Vector
+    bend: Vector
+
+    def rows(self, r: Vector, H: Matrix, sigma: float, spread: float) -> Rows:
+        """Rows with noise ``sigma``: the best line over three sigma points, and what bends away from it."""
+        H[:, DELAY] = -self.slope
+        bend = math.sqrt(2.0) / 3.0 * float(np.linalg.norm(self.bend))
+        straight = bend < max(sigma, CURVED * spread * float(np.linalg.norm(self.slope)))
+        R = _EYE * sigma**2 + 2.0 / 9.0 * np.outer(self.bend, self.bend)
+        return Rows(r - self.bend / 3.0, H, R, straight)
+
+
+def line(before: Vector, after: Vector, spread: float) -> Line:
+    """Of what a row gains (3,) where the message is older by ``spread`` s, and where it is younger."""
+    return Line(0.5 * (before - after) / spread, 0.5 * (before + after))
 
 
 class Scene(NamedTuple):
@@ -241,10 +272,16 @@ def velocity_rows(s: Scene) -> Rows:
     H[:, GYRO_BIAS] = -lag
     H[:, LEVER] = -turn @ s.C_ba
     H[:, MOUNTING] = -turn @ s.C_ba @ skew(s.l_a)
-    # of the master's point: without what the arm adds
-    H[:, DELAY] = turn @ cross(s.w_eb, l_b) - lag @ s.now.dw_b - s.now.a_n
-    R = _EYE * s.transfer.sigma_velocity**2 + lag @ lag.T * s.now.sigma_w**2
-    return Rows(x[X_V : X_V + 3] - s.C_ng @ s.master.v_g - swing, H, R)
+    r = x[X_V : X_V + 3] - s.C_ng @ s.master.v_g - swing
+    # of the master's point: without what the arm adds, whose rate may change in that time
+    gained = s.now.a_n - turn @ cross(s.w_eb, l_b)
+    if s.now.spread > 0.0:
+        before, after = s.now.rates
+        away = line(-lag @ before, -lag @ after, s.now.spread)
+    else:
+        away = Line(lag @ s.now.dw_b, _ZERO)
+    rows = Line(gained + away.slope, away.bend).rows(r, H, s.transfer.sigma_velocity, s.now.spread)
+    return rows._replace(R=rows.R + lag @ lag.T * s.now.sigma_w**2)
 
 
 def attitude_rows(s: Scene) -> Rows:
@@ -259,8 +296,14 @@ def attitude_rows(s: Scene) -> Rows:
     H[:, PHI] = -_EYE
     H[:, MOUNTING] = -s.C_na
     H[:, FLEXURE] = -s.C_na
-    H[:, DELAY] = -(s.C @ s.w_eb)
-    return Rows(s.C @ rotvec_from_quat(quat_from_dcm(D)), H, _EYE * s.transfer.sigma_attitude**2)
+    r = s.C @ rotvec_from_quat(quat_from_dcm(D))
+    if s.now.spread > 0.0:
+        earth = s.now.spread * (s.now.w_b - s.w_eb)
+        before, after = s.now.turns
+        away = line(s.C @ (before - earth), -s.C @ (after - earth), s.now.spread)
+    else:
+        away = Line(s.C @ s.w_eb, _ZERO)
+    return away.rows(r, H, s.transfer.sigma_attitude, s.now.spread)
 
 
 def rate_rows(s: Scene) -> Rows:
@@ -274,6 +317,10 @@ def rate_rows(s: Scene) -> Rows:
     H[:, MOUNTING] = -turn
     H[:, FLEXURE] = -turn
     H[:, FLEXURE_RATE] = -s.C_ba
-    H[:, DELAY] = -s.now.dw_b
+    if s.now.spread > 0.0:
+        before, after = s.now.rates
+        away = line(-before, -after, s.now.spread)
+    else:
+        away = Line(s.now.dw_b, _ZERO)
     r = w - s.C_fa @ w_a - s.C_ba @ s.x[place(FLEXURE_RATE)]
-    return Rows(r, H, _EYE * (s.transfer.sigma_rate**2 + s.now.sigma_w**2))
+    return away.rows(r, H, math.hypot(s.transfer.sigma_rate, s.now.sigma_w), s.now.spread)

@@ -8,6 +8,7 @@ anchor follows at a fixed distance, so that the work of one call stays bounded.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -15,9 +16,9 @@ from numpy.typing import NDArray
 
 from nav.align.types import AlignConfig, TransferConfig
 from nav.strapdown.kernels import X_V
-from nav.transfer.kernels import S_DT, S_SIZE, run
+from nav.transfer.kernels import S_DT, S_FB, S_SIZE, run
 from nav.transfer.model import Instant, bent, dynamics, place, predict
-from nav.transfer.states import GYRO_AXES, GYRO_BIAS
+from nav.transfer.states import DELAY, GYRO_AXES, GYRO_BIAS
 from nav.types import ImuSample
 
 Vector = NDArray[np.float64]
@@ -27,6 +28,7 @@ SEGMENT_NS: Final = 25_000_000
 """Longest step of the covariance: attitude turns little in it."""
 RATE_S: Final = 0.005  # over which the rate at an instant is taken
 CHANGE_S: Final = 0.02  # over which its change is
+SPREAD: Final = 3.0**0.5  # sigmas of the delay that a message's time may be off by
 _MARGIN_NS: Final = 150_000_000  # kept behind the anchor for that
 _BLOCK: Final = 4096
 
@@ -96,11 +98,11 @@ class Slave:
         return k, min(1.0, max(0.0, share))
 
     def covers(self, t_ns: int) -> bool:
-        """Whether there are samples up to ``t_ns``, and enough before it."""
-        if not self._count or t_ns > self.newest_ns:
+        """Whether there are samples from `ahead_ns` before ``t_ns`` to as long after it."""
+        ahead = self.ahead_ns
+        if not self._count or t_ns + ahead > self.newest_ns:
             return False
-        k = int(np.searchsorted(self._t[: self._count], t_ns))
-        return k - self._first >= 2 * self._over(CHANGE_S, k)
+        return t_ns - ahead - round(2e9 * float(self._rows[self._first, 0])) > int(self._t[self._first])
 
     def begin(self, t_ns: int, x: Vector, P: Matrix) -> None:
         """Stand at ``t_ns``, which is covered, with this state."""
@@ -128,35 +130,59 @@ class Slave:
     def run_on(self) -> None:
         """Make the live state anew, from the anchor."""
         self.live = self.x.copy()
-        self._live_sums[:] = 0.0
-        run(self.live, self._rows, self._index, self._share, self._count - 1, 1.0, self._live_sums)
+        sums = np.zeros(S_SIZE)
+        run(self.live, self._rows, self._index, self._share, self._count - 1, 1.0, sums)
+        if sums[S_DT] > 0.0:
+            self._live_sums = sums
+
+    @property
+    def force(self) -> Vector:
+        """Specific force (3,), m/s^2 in b, over the last step of `advance`."""
+        return self._sums[S_FB : S_FB + 3] / max(float(self._sums[S_DT]), 1e-9)
 
     @property
     def live_sums(self) -> Vector:
         """What `nav.transfer.kernels.run` summed up for the live state last."""
         return self._live_sums
 
-    def _over(self, seconds: float, k: int) -> int:
-        return max(1, round(seconds / float(self._rows[k, 0])))
+    @property
+    def ahead_ns(self) -> int:
+        """How far beyond a message's time samples are needed: its true time may lie there."""
+        return round(max(CHANGE_S, self._spread) * 1e9)
 
-    def instant(self, x: Vector, t_ns: int) -> Instant:
-        """How the slave moves at ``t_ns``, which is covered; biases by ``x`` (X_SIZE,)."""
+    @property
+    def _spread(self) -> float:
+        if not self.started:
+            return SPREAD * self._transfer.latency
+        return SPREAD * math.sqrt(max(0.0, float(self.P[DELAY, DELAY])))
+
+    def instant(self, t_ns: int) -> Instant:
+        """How the slave moves at ``t_ns``, which is covered and `ahead_ns` more; biases by ``x``."""
         k, _ = self._find(t_ns)
-        few, some = self._over(RATE_S, k), self._over(CHANGE_S, k)
+        half = round(max(0.5 * RATE_S, float(self._rows[k, 0])) * 1e9)
+        some = round(CHANGE_S * 1e9)
+
+        def rate(middle: int, reach: int) -> Vector:
+            return self._turned(middle - reach, middle + reach) / (2e-9 * reach)
+
+        w = rate(t_ns, half)
+        dw = (rate(t_ns + some // 2, some // 2) - rate(t_ns - some // 2, some // 2)) / CHANGE_S
+        spread, turns, rates = self._spread, np.zeros((2, 3)), np.zeros((2, 3))
+        if spread < half * 1e-9:
+            spread = 0.0
+        for i, sign in enumerate((-1, 1) if spread else ()):
+            there = t_ns + sign * round(spread * 1e9)
+            turns[i] = self._turned(min(t_ns, there), max(t_ns, there))
+            reach = min(half, self.newest_ns - there) if sign > 0 else half
+            rates[i] = (rate(there, reach) if reach > 0 else w) - w
+        noise = self._config.angle_random_walk / math.sqrt(2e-9 * half)
+        return Instant(w, dw, self._a_n, noise, spread, turns, rates)
+
+    def _turned(self, first_ns: int, last_ns: int) -> Vector:
+        """Angle (3,), rad in b, corrected, turned between two times that are covered."""
+        i, begin = self._find(first_ns)
+        k, end = self._find(last_ns)
         rows = self._rows
-
-        def mean(first: int, last: int) -> tuple[Vector, float]:
-            part = rows[first:last]
-            seconds = float(np.sum(part[:, 0]))
-            return np.sum(part[:, 1:4], axis=0) / seconds, seconds
-
-        w, over = mean(k + 1 - few, k + 1)
-        new, long = mean(k + 1 - some, k + 1)
-        old, _ = mean(k + 1 - 2 * some, k + 1 - some)
-        dw = (new - old) / long
-        middle = (int(self._t[k]) - t_ns) * 1e-9 - 0.5 * over
-        w = w - dw * middle
-        M = x[place(GYRO_AXES)].reshape(3, 3)
-        w = w - x[place(GYRO_BIAS)]
-        noise = self._config.angle_random_walk / over**0.5
-        return Instant(w - M @ w, dw, self._a_n, noise)
+        turn = np.sum(rows[i : k + 1, 1:4], axis=0) - begin * rows[i, 1:4] - (1.0 - end) * rows[k, 1:4]
+        turn = turn - self.x[place(GYRO_BIAS)] * (last_ns - first_ns) * 1e-9
+        return np.asarray(turn - self.x[place(GYRO_AXES)].reshape(3, 3) @ turn)

@@ -33,7 +33,7 @@ from nav.transfer.states import (
     X_REST,
     X_SIZE,
 )
-from nav.transfer.watch import AGREE, Watch
+from nav.transfer.watch import AGREE, CAUSES, Watch
 from nav.types import ImuFlag, ImuSample, MasterState, Sample
 
 Vector = NDArray[np.float64]
@@ -42,6 +42,7 @@ Matrix = NDArray[np.float64]
 REPORT_NS: Final = 100_000_000
 AHEAD_NS: Final = 100_000_000
 """A message that is dated further ahead of the newest inertial sample is refused."""
+CALM: Final = 1.0  # m/s^2 of the arm's swing up to which master and slave feel the same
 _MISSING_NS: Final = 100_000_000  # of inertial samples: a longer silence is no alignment any more
 _UNKNOWN: Final = np.eye(3) * math.pi**2
 _UNUSABLE: Final = int(ImuFlag.SATURATED)
@@ -56,7 +57,7 @@ class Transfer:
         self.matching = matching
         self.mask = matching.mask
         self.slave = Slave(config, self.transfer)
-        self.watch = Watch(self.transfer.lockout)
+        self.watch = Watch(self.transfer.lockout, matching.white)
         self.pending: deque[MasterState] = deque()
         self.last: MasterState | None = None
         self.began_ns: int | None = None  # first sample
@@ -77,30 +78,36 @@ class Transfer:
         if s.flags & _UNUSABLE and self.slave.started:
             return "an inertial sensor was at the end of its range"
         self.slave.add(s)
-        while self.pending and self.pending[0].t_ns <= s.t_ns:
-            self._use(self.pending.popleft())
+        self._work_off()
         return self._verdict(s.t_ns)
 
     def message(self, m: MasterState) -> None:
         """Take a message of the master, in the order of arrival."""
         if not m.valid or not _finite(m) or any(getattr(m, part) is None for part in self.matching.needs):
             return
-        newest = self.slave.newest_ns
-        if m.t_ns <= newest:
-            self._use(m)
-        elif m.t_ns - newest < AHEAD_NS:
+        if self.began_ns is None or not self.watch.hear(m, self.slave.newest_ns):
+            return
+        if m.t_ns - self.slave.newest_ns < AHEAD_NS:
             self.pending.append(m)
+            self._work_off()
 
-    def _use(self, m: MasterState) -> None:
-        t_ns, slave = m.t_ns, self.slave
-        if slave.started:
-            t_ns -= round(float(slave.x[X_ERRORS + DELAY - MOVED]) * 1e9)
-            if t_ns <= slave.anchor_ns or t_ns > slave.newest_ns:
+    def _work_off(self) -> None:
+        """Use the messages whose time has come by the inertial samples."""
+        slave, pending = self.slave, self.pending
+        while pending:
+            t_ns = pending[0].t_ns
+            if slave.started:
+                t_ns -= round(float(slave.x[X_ERRORS + DELAY - MOVED]) * 1e9)
+            if t_ns + slave.ahead_ns > slave.newest_ns:
                 return
-            self._compare(m, t_ns)
-        elif m.q_ga is not None and slave.covers(t_ns):
-            self._start(m)
-        self.last = m
+            m = pending.popleft()
+            if slave.started:
+                if t_ns <= slave.anchor_ns:
+                    continue
+                self._compare(m, t_ns)
+            elif m.q_ga is not None and slave.covers(t_ns):
+                self._start(m)
+            self.last = m
 
     # ---- the filter ----------------------------------------------------------------------------
 
@@ -117,7 +124,7 @@ class Transfer:
         x[X_REST : X_REST + 3] = C_gb.T @ -gravity_g(m.lat, m.height)
         P = model.initial_covariance(self.config, transfer)
         slave.begin(m.t_ns, x, P)
-        scene = model.scene(x, slave.instant(x, m.t_ns), m, transfer)
+        scene = model.scene(x, slave.instant(m.t_ns), m, transfer)
         for rows, own in (
             (model.attitude_rows(scene), PHI),
             (model.velocity_rows(scene), VELOCITY),
@@ -130,13 +137,15 @@ class Transfer:
         slave.run_on()
         self.start_ns = m.t_ns
         self.first = np.sqrt(np.diag(P))
-        self.watch.accepted_ns = m.t_ns
 
     def _compare(self, m: MasterState, t_ns: int) -> None:
         """Compare a message with the slave at its time, and correct."""
         slave, matching = self.slave, self.matching
+        before = slave.x[X_Q : X_Q + 4].copy()
         slave.advance(t_ns)
-        scene = model.scene(slave.x, slave.instant(slave.x, t_ns), m, self.transfer)
+        dx = np.zeros(SIZE)
+        scene = model.scene(slave.x, slave.instant(t_ns), m, self.transfer)
+        self._moved(scene, before)
         for kind, uses, own, make in (
             ("position", matching.position, POSITION, model.position_rows),
             ("velocity", matching.velocity, VELOCITY, model.velocity_rows),
@@ -147,15 +156,35 @@ class Transfer:
             if not used:
                 continue
             rows = make(scene)
+            if not rows.straight:
+                continue
             K, H, S = gain(slave.P, rows, uses, own, self.mask)
-            r = rows.r[used]
-            passed = float(r @ np.linalg.solve(S, r)) <= GATES[len(used)]
-            self.watch.see(t_ns, kind, passed, rows, H, S, used)
-            if passed:
-                correct(slave.x, K @ r)
+            # linear in what the rows before have found
+            r = rows.r[used] - H @ dx
+            whitened = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([r, H[:, CAUSES]]))
+            passed = float(whitened[:, 0] @ whitened[:, 0]) <= GATES[len(used)]
+            if self.watch.see(kind, t_ns, passed, whitened) and passed:
+                dx += K @ r
                 slave.P = updated(slave.P, K, H, S)
-                scene = model.scene(slave.x, scene.now, m, self.transfer)
+        correct(slave.x, dx)
         slave.run_on()
+
+    def _moved(self, scene: model.Scene, before: Vector) -> None:
+        """Tell the watch how master and slave moved since the last message."""
+        last, m, w = self.last, scene.master, scene.w_eb
+        if last is None or last.q_ga is None or m.q_ga is None or m.t_ns <= last.t_ns:
+            return
+        C_ba = self.transfer.C_ab.T
+        turn = rot.rotvec_from_quat(rot.quat_multiply(rot.quat_conjugate(last.q_ga), m.q_ga))
+        now = scene.x[X_Q : X_Q + 4]
+        turned = rot.rotvec_from_quat(rot.quat_multiply(rot.quat_conjugate(before), now))
+        gained = (m.v_g - last.v_g) / ((m.t_ns - last.t_ns) * 1e-9) - gravity_g(m.lat, m.height)
+        force = C_ba @ rot.quat_rotate(rot.quat_conjugate(m.q_ga), gained)
+        l_b = scene.C_ba @ scene.l_a
+        swing = rot.cross(scene.now.dw_b, l_b) + rot.cross(w, rot.cross(w, l_b))
+        # how it swings is told by gyros that may be the wrong ones
+        calm = float(np.linalg.norm(swing)) < CALM
+        self.watch.moved(C_ba @ turn, turned, force * calm, self.slave.force)
 
     # ---- what it comes to ----------------------------------------------------------------------
 
@@ -167,25 +196,20 @@ class Transfer:
             return None
         self.report_ns = t_ns + REPORT_NS
         assert self.began_ns is not None
-        transfer, slave, watch = self.transfer, self.slave, self.watch
-        lockout_ns = round(transfer.lockout * 1e9)
-        if not slave.started:
-            if t_ns - self.began_ns > transfer.patience * 1e9:
-                return "no message of the master"
-            return None
+        transfer, slave = self.transfer, self.slave
+        reason = self.watch.cause(t_ns)
+        if not slave.started or reason is not None:
+            return reason
         said = self.report()
         quality = said.progress.quality
         sigma = np.array(said.progress.sigma)
         seconds = (t_ns - self.start_ns) * 1e-9
-        silent = t_ns - watch.accepted_ns > lockout_ns
         known = not self.matching.estimated or bool(np.all(sigma <= transfer.sigma))
-        done = known and seconds >= transfer.duration and quality >= AGREE and not silent
+        done = known and seconds >= transfer.duration and quality >= AGREE
         progress = min(1.0, seconds / transfer.duration)
         if not known:
             progress *= float(np.min(np.minimum(1.0, transfer.sigma / sigma)))
         self.status = AlignStatus(said.q_gb, said.P[PHI, PHI], transfer.sigma, progress, done, transfer=said)
-        if silent:
-            return watch.cause(t_ns)
         if not done and seconds > transfer.patience:
             return f"phi is not known well enough after {transfer.patience:.0f} s"
         return None
@@ -195,7 +219,7 @@ class Transfer:
         assert self.last is not None
         slave = self.slave
         seen = ratios(slave.P, self.first, self.matching)
-        quality = self.watch.share(slave.newest_ns)
+        quality = self.watch.quality(slave.newest_ns)
         return report(slave, self.matching, self.transfer, self.last, seen, quality)
 
 
