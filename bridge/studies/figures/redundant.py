@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy.linalg import expm
 
 from bridge.calibration_plan import Site, load
 from bridge.plots.style import BLUE, GREEN, GREY, ORANGE, Picture, legend
+from bridge.studies.figures.redundant_flights import RATE_HZ, TURN_S, Flips, distance
 from bridge.studies.figures.result import Result, Row
 from bridge.studies.workers import Progress
 from nav.calibrate.coefficients import coefficients
@@ -27,7 +27,6 @@ from nav.calibrate.observability import observe, propose
 from nav.calibrate.plan import Position, Step, planned
 from nav.calibrate.sequential import Sequential, conventional, iterate, turned
 from nav.calibrate.solve import Noise, fit
-from nav.errors.geographic import phi_dynamics, sensor_inputs
 from nav.imu.geometry import cone, with_skew
 from nav.types import Vector
 
@@ -214,28 +213,14 @@ def _draw(axes: Vector, rng: np.random.Generator) -> tuple[Vector, Vector, Vecto
     return real, scale * (1.0 + 0.5 * uneven), scale * (1.0 - 0.5 * uneven), 2e-3 * G * rng.standard_normal(n)
 
 
-def _read(said: Sequence[Sequential], unit: tuple[Vector, ...], f_b: Vector) -> Vector:
-    """Error (3,) of the specific force that a calibration makes of a unit's counts, least squares."""
-    axes, plus, minus, bias = unit
-    out = axes @ f_b + bias
-    counts = np.where(out >= 0.0, plus, minus) * out
-    scale = np.array([one.plus if c >= 0.0 else one.minus for one, c in zip(said, counts, strict=True)])
-    value = counts / scale - np.array([one.bias for one in said])
-    return np.asarray(np.linalg.pinv(np.array([one.axis for one in said])) @ value - f_b)
-
-
 def _flights(units: int, progress: Progress | None) -> dict[str, Vector]:
     """Distance from the true place (units,) m after 5100 s with a flip every five minutes, by method."""
-    place, lat = _place(), math.radians(_SITE.lat_deg)
-    level = [0, 1, 3, 4, 6, 7, 8]  # the height is held
-    F = phi_dynamics(lat, _SITE.height_m, np.zeros(3), place.f_g)[np.ix_(level, level)]
+    place = _place()
     attitudes = [step.C_gb for step in _faces()]
-    size = len(level)
-    block = np.zeros((2 * size, 2 * size))
-    block[:size, :size], block[:size, size:] = F, np.eye(size)
-    both = expm(block * FLIP_S)
-    transition, inputs = both[:size, :size], both[:size, size:]
-    metres = np.array([6.37e6, 6.37e6 * math.cos(lat)])
+    count = round(SECONDS / FLIP_S)
+    turns = [attitudes[k % len(attitudes)] for k in range(count)]
+    flips = Flips(_SITE.lat_deg, _SITE.height_m, turns, FLIP_S)
+    sensed = list(flips)
     distances: dict[str, list[float]] = {"conventional": [], "iterative": [], "joint": []}
     rng = np.random.default_rng(SEED)
     axes = with_skew()
@@ -250,16 +235,7 @@ def _flights(units: int, progress: Progress | None) -> dict[str, Vector]:
             "joint": _joint(axes, _count(_faces("positions_18"), *unit))[0],
         }
         for method, of in said.items():
-            wrong = [_read(of, unit, C.T @ place.f_g) for C in attitudes]
-            first = attitudes[0] @ wrong[0]
-            # levelled by its own accelerometers, heading known
-            x = np.zeros(size)
-            x[4:6] = -first[1] / place.gravity, first[0] / place.gravity
-            for k in range(round(SECONDS / FLIP_S)):
-                C = attitudes[k % len(attitudes)]
-                u = sensor_inputs(C) @ np.concatenate((drift, wrong[k % len(attitudes)]))
-                x = transition @ x + inputs @ u[level]
-            distances[method].append(float(np.linalg.norm(x[:2] * metres)))
+            distances[method].append(distance(flips, sensed, of, unit, drift))
         if progress is not None:
             progress(done + 1, units)
     return {method: np.array(found) for method, found in distances.items()}
@@ -287,9 +263,10 @@ def compute(runs: int = UNITS, progress: Progress | None = None, **_options: Any
         f"Asymmetry {1e6 * ASYMMETRY:g} ppm and bias {1e6 * BIAS / G:g} ug on single axes; one sigma of "
         f"{1e6 * ASYMMETRY:g} ppm and 2000 ug on units. No noise: what is left are the methods' own errors.",
         f"12 face positions do not show of the skewed axes: {named}.",
-        f"Navigation: {runs} five-axis units, a flip every {FLIP_S:g} s through the twelve positions, gyro "
-        "drifts of 0.05 deg/h that no method changes; linear error model, height held, levelled by the unit "
-        "itself, heading known. A negative gain is a unit that is worse off.",
+        f"Navigation: {runs} five-axis units, a flip of {TURN_S:g} s every {FLIP_S:g} s through the twelve "
+        f"positions, counts at {RATE_HZ:g} Hz through the strapdown kernel; gyro drifts of 0.05 deg/h that "
+        "no method changes, height held, levelled by the unit itself, heading known. A negative gain is a "
+        "unit that is worse off.",
     ]
     numbers = {
         "flights": {name: values.tolist() for name, values in flights.items()},
