@@ -88,10 +88,14 @@ def model_of(plan: Plan, place: Place, nominal: Nominal) -> Model:
         gyro = k < nominal.gyros
         number = k if gyro else k - nominal.gyros
         count = nominal.gyros if gyro else len(nominal.scale) - nominal.gyros
-        name = LETTERS[number] if count == len(LETTERS) else str(number + 1)
         kind = "gyro" if gyro else "accelerometer"
-        made.append(sensor(f"{kind} {name}", gyro, axis, float(scale), plan.terms))
+        made.append(sensor(f"{kind} {_called(number, count)}", gyro, axis, float(scale), plan.terms))
     return Model(tuple(made), place, plan.reference)
+
+
+def _called(number: int, count: int) -> str:
+    """A sensor's letter, or its number from 1 where there are more than letters."""
+    return LETTERS[number] if count == len(LETTERS) else str(number + 1)
 
 
 def look(plan: Plan, model: Model, noise: Noise) -> Observability:
@@ -144,7 +148,7 @@ def calibrate(plan: Plan, site: Site | None, recorded: Sequence[Recorded]) -> Ca
     """
     where, place = plan.at(site)
     serial = same_unit(recorded)
-    nominal = Nominal.of(recorded[0].nominal)
+    nominal = recorded[0].nominal
     noise = with_table(recorded[0].noise, plan, all(one.table is not None for one in recorded))
     model = model_of(plan, place, nominal)
     seen = look(plan, model, noise)
@@ -234,7 +238,7 @@ def document_of(result: Calibrated) -> dict[str, Any]:
             key = f"{name}_{unit}" if unit else name
             document[kind][key] = _plain(value / factor, _DIGITS)
             sigmas[kind][key] = _plain(sigma / factor, 3)
-    arms = result.recorded[0].nominal.accel_arms
+    arms = result.recorded[0].arms
     if np.any(arms):  # not measured here, but known
         document["accel"]["lever_arm_m"] = arms.tolist()
     if result.plan.soaks:
@@ -253,7 +257,7 @@ def written(kind: str, found: Coefficients) -> list[tuple[str, Vector, Vector, s
             continue
         value, sigma = found.value[key], found.sigma[key]
         name: str = key
-        if key == "axes" and np.array_equal(np.diag(value), np.ones(3)):
+        if key == "axes" and value.shape == (3, 3) and np.array_equal(np.diag(value), np.ones(3)):
             name, value = "misalignment", value - np.eye(3)
         unit = _WRITTEN[kind][name]
         rows.append((name, value, sigma, unit, UNITS[kind][name][unit]))
@@ -291,12 +295,12 @@ def lines_of(result: Calibrated) -> list[str]:
     ]
     for kind in UNITS:
         for name, value, sigma, unit, factor in written(kind, result.of(kind)):
-            rows = np.atleast_2d(value.T).T.reshape(3, -1) / factor
-            sigmas = np.atleast_2d(sigma.T).T.reshape(3, -1) / factor
+            rows = value.reshape(len(value), -1) / factor
+            sigmas = sigma.reshape(len(sigma), -1) / factor
             for i, j in np.ndindex(*rows.shape):
                 if sigmas[i, j] == 0.0:
                     continue  # one by definition, or not estimated
-                of = f"{kind} {LETTERS[i]} {name.replace('_', ' ')}"
+                of = f"{kind} {_called(i, len(rows))} {name.replace('_', ' ')}"
                 of += f" {_COLUMNS.get(name, LETTERS)[j]}" if value.ndim > 1 else ""
                 lines.append(f"{of:<44} {rows[i, j]:>14.7g} {sigmas[i, j]:>10.3g}  {unit.replace('_', ' ')}")
     lines += ["", *_table_lines(result), "", *residual_lines(result), "", *weak_lines(result.seen)]

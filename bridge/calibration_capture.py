@@ -14,9 +14,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.calibration import read_calibration
+from bridge.calibration import CalibrationFile
+from bridge.calibration_sensors import RedundantFile, read_unit
 from bridge.config import Config
-from bridge.drivers.imu_can import ImuCanOptions
+from bridge.drivers.imu_can import ImuCan, ImuCanOptions
 from bridge.drivers.table_can import TableCanOptions
 from bridge.engine import build_drivers
 from bridge.errors import CalibrationError, CaptureError, ConfigError
@@ -25,8 +26,7 @@ from bridge.navigators import imu_errors
 from bridge.recording import Capture
 from bridge.strict import one_of
 from nav.calibrate.solve import Noise
-from nav.calibrate.stream import Stream
-from nav.imu.pulses import Calibration
+from nav.calibrate.stream import Nominal, Stream
 from nav.types import ImuFlag, ImuSample, TableSample, Vector
 
 PULSES: Final = b"""
@@ -65,7 +65,8 @@ class Recorded:
     utc: datetime
     serial: int | None
     temperatures: Vector
-    nominal: Calibration
+    nominal: Nominal
+    arms: Vector
     noise: Noise
 
 
@@ -103,6 +104,15 @@ def noise_of(config: Config, device: str) -> Noise:
     raise ConfigError(f"{config.file}: navigator: found none that uses {device}, expected its imu_errors")
 
 
+def nominal_of(file: CalibrationFile | RedundantFile) -> Nominal:
+    """What a unit is about, by the file that it is run with."""
+    if isinstance(file, CalibrationFile):
+        return Nominal.of(file.calibration)
+    g, a = file.gyros, file.accels
+    axes, scale = np.vstack((g.axes, a.axes)), np.concatenate((g.scale_plus, a.scale_plus))
+    return Nominal(len(g.axes), axes, scale, np.concatenate((g.bias, a.bias)))
+
+
 def record(capture: Capture, device: str | None) -> Recorded:
     """Read a capture's unit ``device``, or its only one.
 
@@ -113,9 +123,13 @@ def record(capture: Capture, device: str | None) -> Recorded:
     """
     config = Config.from_attachments(capture.attachments)
     name, options = unit_of(config, device)
-    file = read_calibration(config.files[options.calibration], options.calibration)
-    plain = replace(config, files={**config.files, options.calibration: PULSES})
-    drivers = build_drivers(plain)
+    file = read_unit(config.files[options.calibration], options.calibration)
+    if isinstance(file, CalibrationFile):
+        config = replace(config, files={**config.files, options.calibration: PULSES})
+    drivers = build_drivers(config)
+    unit = drivers[name]
+    if isinstance(unit, ImuCan) and unit.fusion is not None:
+        unit.fusion.in_counts()
     tables = [other for other, one in config.devices.items() if isinstance(one, TableCanOptions)]
     source = config.source_number(options.source)
     status, fd = config.contract["IMU_STATUS"], config.contract["IMU_FD"]
@@ -150,18 +164,21 @@ def record(capture: Capture, device: str | None) -> Recorded:
     t_ns = np.array([sample.t_ns for sample in samples])
     begin_ns = int(t_ns[0]) - round(dt[0] * 1e9)
     ratio = _ratio(dt, t_ns, flags & int(ImuFlag.GAP) != 0)
+    counts = np.array([np.concatenate((sample.dtheta, sample.dv)) for sample in samples])
+    bad = {word: flags & int(flag) != 0 for word, flag in _WORDS.items()}
     stream = Stream(
         where,
         (begin_ns + capture.utc_offset_ns) * 1e-9,
         dt,
-        np.array([np.concatenate((sample.dtheta, sample.dv)) for sample in samples]),
-        {word: flags & int(flag) != 0 for word, flag in _WORDS.items()},
+        counts,
+        {**bad, "a sensor that gives nothing": np.isnan(counts).any(axis=1)},
         np.interp(np.arange(len(samples)), told_at, temperatures) if temperatures else np.zeros(0),
     )
     utc = datetime.fromtimestamp((begin_ns + capture.utc_offset_ns) // 1_000_000_000, UTC)
     noise = noise_of(config, name)
     table = _told(angles, t_ns, dt)
-    return Recorded(stream, table, ratio, utc, serial, np.array(temperatures), file.calibration, noise)
+    arms = file.calibration.accel_arms if isinstance(file, CalibrationFile) else np.zeros(0)
+    return Recorded(stream, table, ratio, utc, serial, np.array(temperatures), nominal_of(file), arms, noise)
 
 
 def _told(angles: Sequence[TableSample], t_ns: NDArray[np.int64], dt: Vector) -> Told | None:

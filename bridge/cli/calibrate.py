@@ -78,10 +78,9 @@ def run(args: argparse.Namespace) -> int:
 def _promise(args: argparse.Namespace, plan: Any, site: Any) -> int:
     """What the plan will show of the unit of a configuration."""
     from bridge import calibrating
-    from bridge.calibration import read_calibration
-    from bridge.calibration_capture import noise_of, unit_of
+    from bridge.calibration_capture import noise_of, nominal_of, unit_of
+    from bridge.calibration_sensors import read_unit
     from bridge.config import Config
-    from nav.calibrate.stream import Nominal
 
     for option in ("out", "picture"):
         if getattr(args, option) is not None:
@@ -90,7 +89,7 @@ def _promise(args: argparse.Namespace, plan: Any, site: Any) -> int:
         raise ConfigError("CAPTURE: found nothing, expected captures, or --config to look at the plan alone")
     config = Config.load(args.config)
     name, options = unit_of(config, args.device)
-    nominal = Nominal.of(read_calibration(config.files[options.calibration], options.calibration).calibration)
+    nominal = nominal_of(read_unit(config.files[options.calibration], options.calibration))
     model = calibrating.model_of(plan, plan.at(site)[1], nominal)
     noise = calibrating.with_table(noise_of(config, name), plan, plan.encoded)
     seen = calibrating.look(plan, model, noise)

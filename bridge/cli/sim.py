@@ -20,6 +20,7 @@ from bridge.sources.can_help import reason
 from virtual_bus import scenario
 from virtual_bus.bus import Bench, Sent
 from virtual_bus.grades import GRADES
+from virtual_bus.redundancy import AXES
 
 _TURNTABLE = "turntable"
 _NAP_S: Final = 0.1  # after which it is looked whether somebody stops it
@@ -43,6 +44,11 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         "--grade",
         choices=sorted(GRADES),
         help="of a turntable: how good the unit on it is (default: fog)",
+    )
+    parser.add_argument(
+        "--axes",
+        choices=sorted(AXES),
+        help="of a turntable: directions of a redundant unit's sensors (default: three along its own axes)",
     )
     parser.add_argument(
         "--rate-hz", metavar="HZ", type=arguments.rate, help="of a turntable: samples a second (default: 200)"
@@ -121,6 +127,7 @@ def _scenario(args: argparse.Namespace) -> scenario.Scenario | str:
             ("--rate-hz", args.rate_hz),
             ("--site", args.site),
             ("--soak", args.soak),
+            ("--axes", args.axes),
         ):
             if found is not None:
                 raise ConfigError(f"{name}: found one, but only the scenario {_TURNTABLE} has it")
@@ -133,7 +140,7 @@ def _scenario(args: argparse.Namespace) -> scenario.Scenario | str:
         raise ConfigError(f"PLAN: found nothing, expected a file or, packaged, one of {expected}")
     site = None if args.site is None else calibration_plan.Site(*args.site)
     plan, grade = calibration_plan.load(args.plan), args.grade or "fog"
-    return scenario_of(plan, site, grade, args.rate_hz or RATE_HZ, args.soak)
+    return scenario_of(plan, site, grade, args.rate_hz or RATE_HZ, args.soak, args.axes)
 
 
 def _record(bench: Bench, out: str) -> int:

@@ -84,7 +84,7 @@ class ImuCan:
         self._counters = Counters()
         self._name = context.name
         self._table = np.empty(0) if three is None else three.table()
-        self._fusion = fusion_of(
+        self.fusion = fusion_of(
             file, options.redundant, options.whole_cycle, options.rate_hz, context, self._counters
         )
         self._serial = file.serial
@@ -96,7 +96,7 @@ class ImuCan:
         self._size = None if three is None else size_effect(three)
         self._warmth = None if three is None else warmth(three, self._table)
 
-        names = ("IMU_GYRO", "IMU_ACCEL") if self._fusion is None else MESSAGES
+        names = ("IMU_GYRO", "IMU_ACCEL") if self.fusion is None else MESSAGES
         codecs = [context.message(name) for name in names]
         self._parts = Parts(codecs, options.id_offset, self._counters)
         self._time_codec, self._status_codec = context.message("IMU_TIME"), context.message("IMU_STATUS")
@@ -104,7 +104,7 @@ class ImuCan:
         offset = options.id_offset
         self._gyro_key, self._accel_key = self._parts.keys[0], self._parts.keys[-1]
         self._time_key = self._time_codec.frame_id + offset
-        self._fd_key = self._fd_codec.frame_id + offset if self._fusion is None else -1
+        self._fd_key = self._fd_codec.frame_id + offset if self.fusion is None else -1
         self._status_key = self._status_codec.frame_id + offset
         keys = (*self._parts.keys, self._time_key, self._fd_key, self._status_key)
         self._latch_key = -1 if self._latches is None else self._latches.key
@@ -216,8 +216,8 @@ class ImuCan:
             return counters.reject(Reject.INCOMPLETE)
         status, sample, _, time_us = codec.decode(data)
         head = (int(status), int(sample), int(time_us))
-        if self._fusion is not None:
-            return self._sample(self._classic, head, self._fusion.counts(values), 0, rx_ns)
+        if self.fusion is not None:
+            return self._sample(self._classic, head, self.fusion.counts(values), 0, rx_ns)
         flags = _SATURATED if any(any(part[:3]) for part in values) else 0
         counts = np.array([count for part in values for count in part[3:]], dtype=np.float64)
         return self._sample(self._classic, head, counts, flags, rx_ns)
@@ -275,7 +275,7 @@ class ImuCan:
         ``made`` is an interval with the increments over it, which are taken where it is the right one.
         """
         counters = self._counters
-        if self._foreign or (self._fusion is not None and self._fusion.strange):
+        if self._foreign or (self.fusion is not None and self.fusion.strange):
             return counters.reject(Reject.FOREIGN)
         status, sample, time_us = head
         self._last_us = time_us
@@ -321,13 +321,13 @@ class ImuCan:
             made = (0.0, np.empty(3), np.empty(3))
         tau, dtheta, dv = made
         out: list[ImuSample | ImuChange] = []
-        if self._fusion is not None:
-            more, change = self._fusion.fuse(counts, t_ns, dt, dtheta, dv)
+        if self.fusion is not None:
+            more, change, dtheta, dv = self.fusion.fuse(counts, t_ns, dt)
             flags |= more
-            counters.sensors = self._fusion.health
+            counters.sensors = self.fusion.health
             if change is not None:
                 out.append(change)
-            if not self._fusion.spans:
+            if not self.fusion.spans:
                 counters.reject(Reject.INVALID)
                 return out
         elif dt != tau:

@@ -117,6 +117,7 @@ class Fusion:
         self._saturated = [0, 0]
         self.spans = True
         """Whether the sensors that are left of both kinds span three directions."""
+        self._raw = False
         self._strange = 0
         self.health: UnitHealth | None = None
         """Who is not trusted since when, None before the first sample."""
@@ -155,14 +156,21 @@ class Fusion:
         """Whether the unit has said twice that it has sensors that the calibration has not."""
         return self._strange >= _TWICE
 
-    def fuse(
-        self, counts: Vector, t_ns: int, tau: float, dtheta: Vector, dv: Vector
-    ) -> tuple[int, ImuChange | None]:
-        """Write the increments of ``counts`` over the ``tau`` s until ``t_ns``: flags, and what has changed.
+    def in_counts(self) -> None:
+        """Give counts, as many as there are sensors, in the place of increments from now on; watch nobody."""
+        self._raw = True
 
-        ``dtheta`` (3,) rad and ``dv`` (3,) m/s are NaN where too few sensors are left.
+    def fuse(self, counts: Vector, t_ns: int, tau: float) -> tuple[int, ImuChange | None, Vector, Vector]:
+        """Flags of ``counts`` over the ``tau`` s until ``t_ns``, what has changed, and the increments.
+
+        These, (3,) rad and (3,) m/s, are NaN where too few sensors are left.
         """
-        dv[:] = 0.0  # what is there counts as felt by accelerometers
+        if self._raw:
+            gyros, accels = self._sizes
+            flags = _SATURATED if any(self._saturated) else 0
+            return flags, None, counts[:gyros].copy(), counts[MOST : MOST + accels].copy()
+        # what is in dv counts as felt by accelerometers
+        dtheta, dv = np.zeros(3), np.zeros(3)
         status = self._unit.sample(counts, tau, dtheta, dv)
         health = self.health or UnitHealth(t_ns, 0, 0, 0, 0)
         change = None
@@ -175,7 +183,7 @@ class Fusion:
         flags = _EXCLUDED if health.gyros_out or health.accels_out else 0
         if self._saturated[0] & ~health.gyros_out or self._saturated[1] & ~health.accels_out:
             flags |= _SATURATED
-        return flags, change
+        return flags, change, dtheta, dv
 
     def _change(self, t_ns: int, status: tuple[int, int], before: UnitHealth) -> ImuChange | None:
         out = [(1 << n) - 1 - _mask(kind.active) for kind, n in zip(self._kinds, self._sizes, strict=True)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from msgspec.structs import replace
@@ -18,11 +18,17 @@ _REST_S: Final = 6.0  # before and after a rotation
 
 
 def scenario_of(
-    plan: Plan, site: Site | None, grade: str, rate_hz: float = RATE_HZ, soak: float | None = None
+    plan: Plan,
+    site: Site | None,
+    grade: str,
+    rate_hz: float = RATE_HZ,
+    soak: float | None = None,
+    axes: Literal["cone", "skew"] | None = None,
 ) -> Turntable:
     """The table's scenario: every seed draws its errors, as large as the plan expects, and the unit's.
 
-    Of a plan with several temperatures the steps at ``soak`` degC, by default at the first of them.
+    Of a plan with several temperatures the steps at ``soak`` degC, by default at the first of them. ``axes``
+    are those of a redundant unit.
 
     Raises:
         ConfigError: nobody said where the table stands, or the plan has no such temperature.
@@ -49,6 +55,5 @@ def scenario_of(
     made = turntable(
         plan.title, grade, moves, where.lat_deg, where.height_m, place.gravity, errors, rate_hz, encoder
     )
-    if soak is None:
-        return made
-    return replace(made, imu=replace(made.imu, temperature_deg_c=(soak, soak)))
+    imu = replace(made.imu, axes=axes)
+    return replace(made, imu=imu if soak is None else replace(imu, temperature_deg_c=(soak, soak)))
