@@ -102,6 +102,17 @@ class Rounds:
         return float(np.abs(self.errors).max())
 
     @property
+    def chance(self) -> float:
+        """Of an error as large as the largest or larger, among so many of a normal law."""
+        return float(-np.expm1(self.errors.size * np.log1p(-2.0 * stats.norm.sf(self.largest))))
+
+    @property
+    def shape(self) -> tuple[float, float]:
+        """How normal the errors are: excess kurtosis, and the largest distance from the normal law."""
+        errors = self.errors.ravel()
+        return float(stats.kurtosis(errors)), float(stats.kstest(errors, "norm").statistic)
+
+    @property
     def passed(self) -> bool:
         """Whether errors are as large as they are said to be, and no check spoke without a reason."""
         low, high = self.band
@@ -264,6 +275,11 @@ def lines(every: Sequence[Rounds]) -> list[str]:
             f"{100 * one.coverage:>13.2f} % {100 * low:>6.1f} to {100 * high:>5.1f} % {one.largest:>7.2f} "
             f"{100 * np.mean(np.abs(table) < 2.0):>5.1f} % {chi2:>8.2f} {steps:>6}"
         )
+        kurtosis, distance = one.shape
+        rows.append(
+            f"  a normal law has a largest like this with the chance {one.chance:.2f}; excess kurtosis "
+            f"{kurtosis:+.2f}, distance from its distribution {distance:.3f}"
+        )
         rows += [f"  seed {r.seed}: {r.false}" for r in one.rounds if r.false is not None]
     rows.append("passed" if all(one.passed for one in every) else "NOT passed")
     return rows
@@ -280,6 +296,9 @@ def document(every: Sequence[Rounds]) -> dict[str, Any]:
                 "coverage": one.coverage,
                 "band": one.band,
                 "largest": one.largest,
+                "chance": one.chance,
+                "kurtosis": one.shape[0],
+                "distance": one.shape[1],
                 "passed": one.passed,
                 "rms": dict(zip(one.names, np.sqrt(np.mean(one.errors**2, axis=0)).tolist(), strict=True)),
             }
