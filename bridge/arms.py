@@ -1,19 +1,27 @@
-"""Where the accelerometers of a unit sit, from a capture in which it was turned about a fixed point."""
+"""Where the accelerometers of a unit sit, from a capture in which it was turned about a fixed point.
+
+The fit is one, `nav.imu.size_fit`: of the rotations of a plan, which ``navbridge calibrate`` hands over with
+the coefficients that it has just found, or of any swaying of a calibrated unit, by ``navbridge arms``.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 import tomli_w
+from numpy.typing import NDArray
 
 from bridge.calibration import CalibrationFile, read_calibration
-from bridge.calibration_capture import Recorded, record, unit_of
+from bridge.calibration_capture import record, unit_of
 from bridge.config import Config
 from bridge.errors import CalibrationError
 from bridge.recording import Capture
 from bridge.strict import parse
+from nav.calibrate.intervals import Interval
+from nav.calibrate.stream import Stream
 from nav.imu.pulses import Calibration, compensate
 from nav.imu.size_effect import meeting_point
 from nav.imu.size_fit import Arms, fit_arms
@@ -61,34 +69,71 @@ def find(capture: Capture, device: str | None, origin: str, calibration: tuple[s
     name, data = calibration
     file: CalibrationFile = read_calibration(data, name)
     c = file.calibration
-    tau, dtheta, read = _samples(recorded, c)
+    stream = recorded.stream
+    tau = float(np.median(stream.dt))
+    part = _longest(stream, tau)
     try:
-        arms = fit_arms(c.accel_axes, dtheta, read, tau)
+        arms = fit_arms(c.accel_axes, [_compensated(stream, part, c, tau)], tau)
     except ValueError as error:
         raise CalibrationError(f"{capture.path}: {error}") from error
     point = np.zeros(3)
     if origin == "axes":
         point = meeting_point(c.accel_axes, arms.arms)
         arms = arms.from_meeting_point(c.accel_axes)
-    return Found(arms, point, len(dtheta) * tau, name, parse(data, name))
+    return Found(arms, point, (part.stop - part.start) * tau, name, parse(data, name))
 
 
-def _samples(recorded: Recorded, c: Calibration) -> tuple[float, Vector, Vector]:
-    """Interval, angles (k, 3) and what each accelerometer says (k, 3), of the longest faultless time."""
-    stream = recorded.stream
-    tau = float(np.median(stream.dt))
+def of_turns(streams: Sequence[Stream], intervals: Sequence[Interval], c: Calibration) -> Arms:
+    """The arms of a unit, from where its axes meet, from the rotations of a turntable's plan.
+
+    ``intervals`` of ``streams``; ``c`` without arms.
+
+    Raises:
+        ValueError: the rotations do not show all arms, which are named, or there are too few samples.
+    """
+    tau = float(np.median(streams[0].dt))
+    turns = []
+    for one in intervals:
+        if one.rotation:
+            # of the last capture that had begun by then
+            stream = max((s for s in streams if s.begin <= one.begin), key=lambda s: s.begin)
+            first = int(np.searchsorted(np.cumsum(stream.dt), one.begin - stream.begin + 0.5 * tau))
+            part = slice(first, first + round(one.seconds / tau))
+            if _faultless(stream, tau)[part].all():
+                turns.append(_compensated(stream, part, c, tau))
+    if not turns:
+        raise ValueError("no rotation shows any")
+    return fit_arms(c.accel_axes, turns, tau).from_meeting_point(c.accel_axes)
+
+
+def _faultless(stream: Stream, tau: float) -> NDArray[np.bool_]:
+    """Which samples (k,) are good and as long as the others."""
     good = np.abs(stream.dt - tau) < _EVEN * tau
     for bad in stream.bad.values():
         good &= np.logical_not(bad)
+    return good
+
+
+def _longest(stream: Stream, tau: float) -> slice:
+    """The longest faultless time."""
+    good = _faultless(stream, tau)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], good, [False])).astype(np.int8)))
     begin, end = max(
         zip(edges[::2], edges[1::2], strict=True), key=lambda run: run[1] - run[0], default=(0, 0)
     )
+    return slice(int(begin), int(end))
+
+
+def _compensated(stream: Stream, part: slice, c: Calibration, tau: float) -> tuple[Vector, Vector]:
+    """Angles (k, 3) and what each accelerometer says (k, 3), at the temperature that the unit told."""
+    if c.thermal is not None and len(stream.temperature):
+        c = c.at(float(stream.temperature[part].mean()))
     table = c.table()
-    dtheta, dv = np.empty((end - begin, 3)), np.empty((end - begin, 3))
-    for k, counts in enumerate(stream.counts[begin:end]):
-        compensate(table, counts, tau, dtheta[k], dv[k])
-    return tau, dtheta, dv @ c.accel_axes.T
+    counts = stream.counts[part]
+    dtheta, dv = np.empty((len(counts), 3)), np.empty((len(counts), 3))
+    for k, row in enumerate(counts):
+        compensate(table, row, tau, dtheta[k], dv[k])
+    return dtheta, dv @ c.accel_axes.T
 
 
 def file_of(found: Found) -> str:
@@ -132,3 +177,15 @@ def lines_of(found: Found) -> list[str]:
     lines += ["", f"origin {x:.3f}, {y:.3f}, {z:.3f} mm from the point of the turn"]
     lines.append(f"residual of a sample {1e3 * found.arms.residual:.4f} mm/s")
     return lines
+
+
+def coefficient_lines(arms: Arms | str) -> list[str]:
+    """The arms among the coefficients of a calibration, or why they are not there."""
+    if isinstance(arms, str):
+        return [f"arms of the accelerometers: {arms}"]
+    rows = zip(_LETTERS, 1e3 * arms.arms, 1e3 * arms.sigma(), strict=True)
+    return [
+        f"{f'accel {letter} lever arm {along}':<44} {value:>14.4f} {sigma:>10.2g}  mm"
+        for letter, row, sigmas in rows
+        for along, value, sigma in zip(_ALONG, row, sigmas, strict=True)
+    ]

@@ -10,21 +10,22 @@ from typing import Any, Final
 import numpy as np
 import tomli_w
 
-from bridge.calibration import UNITS, Certificate, G
+from bridge.arms import coefficient_lines, of_turns
+from bridge.calibration import UNITS, Certificate, G, read_calibration
 from bridge.calibration_capture import Recorded, same_unit
 from bridge.calibration_plan import Plan, Site, as_toml
 from bridge.errors import CalibrationError
 from bridge.strict import plain
 from nav.calibrate.checks import moved
 from nav.calibrate.coefficients import KEYS, Coefficients, coefficients
-from nav.calibrate.encoder import Encoder, attitudes
 from nav.calibrate.intervals import Interval, Place
 from nav.calibrate.model import LETTERS, NUISANCE, Model, sensor
 from nav.calibrate.observability import Observability, observe, propose
 from nav.calibrate.plan import Position
 from nav.calibrate.segments import Disagreement, segment
 from nav.calibrate.solve import Fit, Noise, fit
-from nav.calibrate.stream import Nominal, Stream
+from nav.calibrate.stream import Nominal
+from nav.imu.size_fit import Arms
 from nav.types import Vector
 
 _ARCSEC: Final = np.pi / 648000.0
@@ -66,7 +67,10 @@ _LEFT: Final = 0.05  # of an encoder's error in a turn that ends three degrees b
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibrated:
-    """A calibration with everything that its file and its report say."""
+    """A calibration with everything that its file and its report say.
+
+    ``arms`` are where the accelerometers sit, or why that is not known.
+    """
 
     plan: Plan
     site: Site
@@ -75,6 +79,7 @@ class Calibrated:
     seen: Observability
     recorded: tuple[Recorded, ...]
     serial: int | None
+    arms: Arms | str = "not sought"
 
     def of(self, kind: str) -> Coefficients:
         """Coefficients of the "gyro" or the "accel" sensors."""
@@ -129,15 +134,6 @@ def with_table(noise: Noise, plan: Plan, told: bool) -> Noise:
     return replace(noise, attitude=plan.position, turn=plan.position)
 
 
-def with_encoder(one: Recorded, plan: Plan) -> Stream:
-    """The samples of a capture with the attitudes that its table told, if it did."""
-    if one.table is None:
-        return one.stream
-    return replace(
-        one.stream, encoder=Encoder(one.table.time, attitudes(one.table.angles, plan.encoder.axes))
-    )
-
-
 def calibrate(plan: Plan, site: Site | None, recorded: Sequence[Recorded]) -> Calibrated:
     """The calibration of a unit from captures that hold the plan's steps in their order.
 
@@ -152,7 +148,7 @@ def calibrate(plan: Plan, site: Site | None, recorded: Sequence[Recorded]) -> Ca
     noise = with_table(recorded[0].noise, plan, all(one.table is not None for one in recorded))
     model = model_of(plan, place, nominal)
     seen = look(plan, model, noise)
-    streams = [with_encoder(one, plan) for one in recorded]
+    streams = [one.on_table(plan.encoder.axes) for one in recorded]
     try:
         intervals = segment(streams, plan.steps, nominal, [one.ratio for one in recorded])
         _check_temperatures(plan, intervals)
@@ -164,7 +160,19 @@ def calibrate(plan: Plan, site: Site | None, recorded: Sequence[Recorded]) -> Ca
     wrong = moved(found, intervals, noise)
     if wrong is not None:
         raise CalibrationError(f"{_files(recorded)}: {wrong}")
-    return Calibrated(plan, where, found, tuple(intervals), seen, tuple(recorded), serial)
+    made = Calibrated(plan, where, found, tuple(intervals), seen, tuple(recorded), serial)
+    return replace(made, arms=_arms(made))
+
+
+def _arms(result: Calibrated) -> Arms | str:
+    """Where the accelerometers sit by the plan's rotations and the coefficients found, or why not."""
+    if len(result.fit.model.sensors) != 6:
+        return "sought of three accelerometers alone"
+    c = read_calibration(file_of(result).encode(), "the calibration").calibration
+    try:
+        return of_turns([one.stream for one in result.recorded], result.intervals, c)
+    except ValueError as error:
+        return str(error)
 
 
 def _check_temperatures(plan: Plan, intervals: Sequence[Interval]) -> None:
@@ -238,9 +246,12 @@ def document_of(result: Calibrated) -> dict[str, Any]:
             key = f"{name}_{unit}" if unit else name
             document[kind][key] = _plain(value / factor, _DIGITS)
             sigmas[kind][key] = _plain(sigma / factor, 3)
-    arms = result.recorded[0].arms
-    if np.any(arms):  # not measured here, but known
-        document["accel"]["lever_arm_m"] = arms.tolist()
+    known = result.recorded[0].arms
+    if isinstance(result.arms, Arms):
+        for table, values in ((document["accel"], result.arms.arms), (sigmas["accel"], result.arms.sigma())):
+            table["lever_arm_mm"] = [[round(1e3 * x, 6) + 0.0 for x in row] for row in values.tolist()]
+    elif np.any(known):  # not measured here, but known
+        document["accel"]["lever_arm_m"] = known.tolist()
     if result.plan.soaks:
         reference, told = result.plan.reference, [one.temperature for one in result.intervals]
         held = [round(min(*told, reference), 2), round(max(*told, reference), 2)]
@@ -303,6 +314,7 @@ def lines_of(result: Calibrated) -> list[str]:
                 of = f"{kind} {_called(i, len(rows))} {name.replace('_', ' ')}"
                 of += f" {_COLUMNS.get(name, LETTERS)[j]}" if value.ndim > 1 else ""
                 lines.append(f"{of:<44} {rows[i, j]:>14.7g} {sigmas[i, j]:>10.3g}  {unit.replace('_', ' ')}")
+    lines += coefficient_lines(result.arms)
     lines += ["", *_table_lines(result), "", *residual_lines(result), "", *weak_lines(result.seen)]
     return lines
 

@@ -25,6 +25,7 @@ from bridge.heard import heard
 from bridge.navigators import imu_errors
 from bridge.recording import Capture
 from bridge.strict import one_of
+from nav.calibrate.encoder import Encoder, attitudes
 from nav.calibrate.solve import Noise
 from nav.calibrate.stream import Nominal, Stream
 from nav.types import ImuFlag, ImuSample, TableSample, Vector
@@ -68,6 +69,13 @@ class Recorded:
     nominal: Nominal
     arms: Vector
     noise: Noise
+
+    def on_table(self, axes: str) -> Stream:
+        """Its samples, with the attitudes of a table about these ``axes`` if that told its angles."""
+        if self.table is None:
+            return self.stream
+        encoder = Encoder(self.table.time, attitudes(self.table.angles, axes))
+        return replace(self.stream, encoder=encoder)
 
 
 def unit_of(config: Config, device: str | None) -> tuple[str, ImuCanOptions]:

@@ -9,6 +9,7 @@ turns.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -53,35 +54,41 @@ class Arms(NamedTuple):
         return np.sqrt(np.diag(self.covariance)).reshape(self.arms.shape)
 
 
-def fit_arms(axes: Vector, dtheta: Vector, read: Vector, tau: float) -> Arms:
-    """Arms of n accelerometers from ``samples`` of a turn about a point that stays where it is.
+def fit_arms(axes: Vector, turns: Sequence[tuple[Vector, Vector]], tau: float) -> Arms:
+    """Arms of n accelerometers from the samples of turns about a point that stays where it is.
 
-    ``axes`` (n, 3) sensitive axes by rows; ``dtheta`` (samples, 3) rad, compensated; ``read`` (samples, n)
-    m/s, what each accelerometer says along its own axis, its scale compensated; ``tau`` s. Their noise
-    is taken as white and equal. Raises ValueError where the turns do not show a coefficient, or show it no
-    better than noise of the gyros would, naming it, or where the samples are fewer than the unknowns.
+    ``axes`` (n, 3) sensitive axes by rows. Of every turn the angles (samples, 3) rad, compensated, and what
+    each accelerometer says along its own axis, (samples, n) m/s, its scale compensated; ``tau`` s. Gravity is
+    an unknown of every turn, arms and biases are the same in all. Their noise is taken as white and equal.
+    Raises ValueError where the turns do not show a coefficient, or show it no better than noise of the gyros
+    would, naming it, or where the samples are fewer than the unknowns.
     """
-    n, count = len(axes), len(dtheta)
-    inner = slice(_EDGE, count - _EDGE)
-    unknowns = 4 * n + 3 * _GRAVITY_TERMS
-    if n * (count - 2 * _EDGE) <= unknowns:
-        raise ValueError(f"{count} samples of {n} accelerometers are too few for {unknowns} unknowns")
-    # rates at the ends of the inner samples: cubics through four samples' angles, in their middle
-    rate = (7.0 * (dtheta[1:-2] + dtheta[2:-1]) - dtheta[:-3] - dtheta[3:]) / (12.0 * tau)
-    change = np.diff(rate, axis=0)
-    turn = _turns(dtheta[inner], change, tau)
-    weigh = _gravity(dtheta, change, tau)
-    time = (np.arange(count) + 0.5)[inner] / count
-    rows = len(time)
-    design = np.zeros((n, rows, unknowns))
-    for i in range(n):
-        design[i, :, 3 * i : 3 * i + 3] = np.einsum("a,kab->kb", axes[i], turn)
-        design[i, :, 3 * n + i] = tau
-        for power in range(_GRAVITY_TERMS):
-            first = 4 * n + 3 * power
-            design[i, :, first : first + 3] = time[:, None] ** power * np.einsum("a,kab->kb", axes[i], weigh)
-    A = design.reshape(n * rows, unknowns)
-    y = read[inner].T.ravel()
+    n = len(axes)
+    counts = [len(dtheta) - 2 * _EDGE for dtheta, _ in turns]
+    unknowns = 4 * n + 3 * _GRAVITY_TERMS * len(turns)
+    if n * sum(counts) <= unknowns or min(counts) < 1:
+        raise ValueError(f"{sum(counts)} samples of {n} accelerometers are too few for {unknowns} unknowns")
+    parts = []
+    for place, ((dtheta, _), rows) in enumerate(zip(turns, counts, strict=True)):
+        inner = slice(_EDGE, _EDGE + rows)
+        # rates at the ends of the inner samples: cubics through four samples' angles, in their middle
+        rate = (7.0 * (dtheta[1:-2] + dtheta[2:-1]) - dtheta[:-3] - dtheta[3:]) / (12.0 * tau)
+        change = np.diff(rate, axis=0)
+        turn = _turns(dtheta[inner], change, tau)
+        weigh = _gravity(dtheta, change, tau)
+        time = (np.arange(len(dtheta)) + 0.5)[inner] / len(dtheta)
+        design = np.zeros((n, rows, unknowns))
+        for i in range(n):
+            design[i, :, 3 * i : 3 * i + 3] = np.einsum("a,kab->kb", axes[i], turn)
+            design[i, :, 3 * n + i] = tau
+            along = np.einsum("a,kab->kb", axes[i], weigh)
+            for power in range(_GRAVITY_TERMS):
+                first = 4 * n + 3 * (_GRAVITY_TERMS * place + power)
+                design[i, :, first : first + 3] = time[:, None] ** power * along
+        parts.append(design.reshape(n * rows, unknowns))
+    A = np.concatenate(parts)
+    y = np.concatenate([read[_EDGE:-_EDGE].T.ravel() for _, read in turns])
+    noise = sum(rows * _noise(axes, dtheta, tau) for (dtheta, _), rows in zip(turns, counts, strict=True))
     size = np.linalg.norm(A, axis=0)
     size[size == 0.0] = 1.0
     Q, R = np.linalg.qr(A / size)
@@ -91,7 +98,7 @@ def fit_arms(axes: Vector, dtheta: Vector, read: Vector, tau: float) -> Arms:
     unseen = np.linalg.norm(Vt[~kept, : 3 * n], axis=0) > _SEEN
     # what noise alone would show is weighed down by the noise, and looks as if it were known
     signal = 1.0 / np.maximum(np.sum(root[: 3 * n] ** 2, axis=1), np.finfo(float).tiny)
-    unseen |= signal < _CLEAR * rows * _noise(axes, dtheta, tau)
+    unseen |= signal < _CLEAR * noise
     if unseen.any():
         names = [f"accelerometer {k // 3 + 1} {_ALONG[k % 3]}" for k in np.flatnonzero(unseen)]
         raise ValueError(f"the turns do not show the arm of {', '.join(names)}: turn about other axes too")

@@ -200,7 +200,7 @@ ARMS = np.array([[0.03, 0.01, -0.02], [0.02, -0.04, 0.01], [-0.01, 0.03, 0.05]])
 def test_arms_come_out_of_turns_without_noise():
     dtheta, read = table(np.eye(3), AXES, ARMS)
     bias = np.array([2e-3, -1e-3, 3e-3])
-    found = fit_arms(AXES, dtheta, read + bias * TAU, TAU)
+    found = fit_arms(AXES, [(dtheta, read + bias * TAU)], TAU)
     # rates between samples by differences: fourth order in 10 ms of a swing of a few rad/s
     np.testing.assert_allclose(found.arms, ARMS, atol=3e-6)
     away = found.from_meeting_point(AXES)
@@ -210,12 +210,12 @@ def test_arms_come_out_of_turns_without_noise():
 def test_sigmas_of_arms_cover_their_errors():
     """100 seeds of nine arms: 95.45 % within two sigma, and what 900 draws scatter about that."""
     dtheta, read = table(np.eye(3), AXES, ARMS, tau=0.02, seconds=3.0)
-    truth = fit_arms(AXES, dtheta, read, 0.02).arms  # the differences' own error, far below the noise
+    truth = fit_arms(AXES, [(dtheta, read)], 0.02).arms  # the differences' own error, far below the noise
     assert np.abs(truth - ARMS).max() < 1e-4
     rng = np.random.default_rng(11)
     normal = []
     for _ in range(100):
-        found = fit_arms(AXES, dtheta, read + 2e-3 * rng.standard_normal(read.shape), 0.02)
+        found = fit_arms(AXES, [(dtheta, read + 2e-3 * rng.standard_normal(read.shape))], 0.02)
         normal.append((found.arms - truth) / found.sigma())
     z = np.abs(np.array(normal))
     assert 0.93 < np.mean(z < 2.0) < 0.975
@@ -228,12 +228,25 @@ def test_what_noise_of_the_gyros_alone_shows_is_not_shown():
     dtheta, read = table([[0.0, 0.0, 1.0]], np.eye(3), ARMS)
     noisy = dtheta + 5e-6 * np.random.default_rng(12).standard_normal(dtheta.shape)
     with pytest.raises(ValueError, match="accelerometer 1 up, accelerometer 2 up, accelerometer 3 right"):
-        fit_arms(np.eye(3), noisy, read + 1e-6, TAU)
+        fit_arms(np.eye(3), [(noisy, read + 1e-6)], TAU)
 
 
 def test_arms_that_turns_do_not_show_are_named():
     dtheta, read = table([[0.0, 0.0, 1.0]], np.eye(3), ARMS)
     with pytest.raises(ValueError, match="accelerometer 1 up, accelerometer 2 up, accelerometer 3 right"):
-        fit_arms(np.eye(3), dtheta, read, TAU)
+        fit_arms(np.eye(3), [(dtheta, read)], TAU)
     with pytest.raises(ValueError, match="too few"):
-        fit_arms(np.eye(3), dtheta[:9], read[:9], TAU)
+        fit_arms(np.eye(3), [(dtheta[:9], read[:9])], TAU)
+
+
+def test_turns_about_one_axis_each_show_together_what_none_does_alone():
+    """Three swings, one about each axis of the unit."""
+    bias = np.array([2e-3, -1e-3, 3e-3])
+    turns = []
+    for k, along in enumerate(np.eye(3)):
+        dtheta, read = table([along], AXES, ARMS)
+        turns.append((dtheta, read + TAU * bias))
+        with pytest.raises(ValueError, match="do not show the arm"):
+            fit_arms(AXES, [turns[k]], TAU)
+    found = fit_arms(AXES, turns, TAU)
+    np.testing.assert_allclose(found.arms, ARMS, atol=3e-6)
