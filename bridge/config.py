@@ -18,6 +18,7 @@ import msgspec
 import tomli_w
 
 from bridge.errors import ConfigError
+from bridge.followers import in_order
 from bridge.options import (
     SOURCE_OPTIONS,
     DeviceOptions,
@@ -224,6 +225,7 @@ def _build(data: bytes, file: str, read: Reader) -> Config:
             if device_name in navigators[name].devices[:place]:
                 raise wrong(file, f"navigator.{name}.devices[{place}]", device_name, "each device once")
 
+    _check_masters(navigators, file)
     sinks: dict[str, SinkOptions] = {}
     for name, table in tables["sink"].items():
         key = f"sink.{name}"
@@ -234,6 +236,19 @@ def _build(data: bytes, file: str, read: Reader) -> Config:
             raise unknown(file, f"{key}.navigator", sink.navigator, navigators)
         sinks[name] = files.collect(sink, key)
     return Config(file, sources, devices, navigators, sinks, files.found)
+
+
+def _check_masters(navigators: dict[str, NavigatorOptions], file: str) -> None:
+    for name, options in navigators.items():
+        master = options.master_navigator
+        if master is not None and master not in navigators:
+            raise unknown(file, f"navigator.{name}.master_navigator", master, navigators)
+    try:
+        in_order(navigators)
+    except ValueError as error:
+        key = f"navigator.{error}.master_navigator"
+        found = navigators[str(error)].master_navigator
+        raise wrong(file, key, found, "a navigator that does not follow this one in its turn") from error
 
 
 def _keys(config: Config, path: Path) -> dict[str, bytes]:

@@ -20,6 +20,7 @@ from bridge.drivers import DRIVERS
 from bridge.drivers.base import Context, Driver
 from bridge.drivers.counters import Counters
 from bridge.drivers.device_clock import DeviceClock
+from bridge.followers import Follower, as_master, in_order
 from bridge.frame import BRIDGE, Event, RawFrame
 from bridge.mavlink.peer import MavlinkPeer
 from bridge.navigators import build_navigator, lacking, provided
@@ -105,8 +106,14 @@ class Engine:
         self._drivers = build_drivers(config)
         self._lines = [
             _Line(name, build_navigator(name, config), DigestChain(name), self._sensors(name, config))
-            for name in config.navigators
+            for name in in_order(config.navigators)
         ]
+        self._followers: dict[str, list[tuple[_Line, Follower]]] = {}
+        for line in self._lines:
+            master = config.navigators[line.name].master_navigator
+            if master is not None:
+                follower = line, Follower(config.navigators[line.name].transfer.rate_hz)
+                self._followers.setdefault(master, []).append(follower)
         self._lacking = {name: lacking(name, config) for name in config.navigators}
         self._waiting = [line for line in self._lines if config.navigators[line.name].autostart]
         self._routes: dict[tuple[int, int], tuple[_Route, ...]] = {}
@@ -210,6 +217,9 @@ class Engine:
             if type(event) is Solution:
                 out.append(SolutionOut(line.name, event, self._now))
                 self._unchained.append((line.chain, event))
+                for slave, follower in self._followers.get(line.name, ()):
+                    if follower.wants(event.t_ns):
+                        self._take_all(slave, slave.navigator.step(as_master(event, line.name)), out)
             else:
                 self._take(line, event, out)
 

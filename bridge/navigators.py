@@ -29,12 +29,15 @@ _UG: Final = 1e-6 * 9.80665
 
 
 def provided(name: str, config: Config) -> dict[str, list[str]]:
-    """Kinds of samples that a navigator gets, each with the devices it gets them from."""
+    """Kinds of samples that a navigator gets, each with the devices or navigators it gets them from."""
     kinds: dict[str, list[str]] = {}
     for device in config.navigators[name].devices:
         options = config.devices[device]
         for kind in DRIVERS[options.driver].provides(options):
             kinds.setdefault(kind, []).append(device)
+    master = config.navigators[name].master_navigator
+    if master is not None:
+        kinds.setdefault("master", []).append(master)
     return kinds
 
 

@@ -154,10 +154,12 @@ class HeightChannel(Table):
 class TransferOptions(Table):
     """``[navigator.NAME.transfer]``: of the master that a transfer alignment (``transfer_...``) follows.
 
-    ``lever_arm_m`` goes from the master's point to the IMU, in the master's axes (right, forward, up);
-    ``mounting_deg`` is pitch, roll and heading of the IMU on the master's axes, one sigma about each of these
-    ``mounting_sigma_deg``. The ``noise`` is that of one message, independent of the next. Its dating is late
-    by a constant of ``latency_sigma_ms``; a message older than ``latest_ms`` is of no use.
+    Of a master that is a navigator of this process ``rate_hz`` solutions a second are taken; its point is its
+    output point and its axes are its vehicle's. ``lever_arm_m`` goes from the master's point to the IMU, in
+    the master's axes (right, forward, up); ``mounting_deg`` is pitch, roll and heading of the IMU on the
+    master's axes, one sigma about each of these ``mounting_sigma_deg``. The ``noise`` is that of one message,
+    independent of the next. Its dating is late by a constant of ``latency_sigma_ms``; a message older than
+    ``latest_ms`` is of no use.
 
     ``flexure_mrad``, about right, forward and up, which is forgotten within ``flexure_s``, is estimated where
     it is given; otherwise it belongs into the noise of the attitude.
@@ -167,6 +169,7 @@ class TransferOptions(Table):
     ``lockout_s``.
     """
 
+    rate_hz: Annotated[float, Meta(ge=1.0, le=200.0)] = 50.0
     lever_arm_m: Three = (0.0, 0.0, 0.0)
     lever_arm_sigma_m: NotNegative = 0.02
     mounting_deg: Three = (0.0, 0.0, 0.0)
@@ -175,7 +178,7 @@ class TransferOptions(Table):
     attitude_noise_mrad: Positive = 0.3
     position_noise_m: Positive = 2.0
     rate_noise_deg_per_s: Positive = 0.06
-    latency_sigma_ms: NotNegative = 5.0
+    latency_sigma_ms: NotNegative = 10.0
     latest_ms: Positive = 500.0
     flexure_mrad: Sigmas | None = None
     flexure_s: tuple[Positive, Positive, Positive] = (0.5, 0.5, 0.5)
@@ -212,12 +215,15 @@ class NavigatorOptions(Table):
     solution comes with every ``samples_per_update`` inertial samples, which coning and sculling are computed
     from.
 
+    ``master_navigator`` is another navigator that this one may be aligned from (``transfer_...``).
+
     A navigator is DEGRADED when an aid is missing for longer than its ``timeout_s``: 0 means that it is not
     counted on; by default an aid that a device of the navigator provides is.
     """
 
     devices: Annotated[list[str], Meta(min_length=1)]
     alignment: str = "static"
+    master_navigator: str | None = None
     autostart: bool = True
     mounting_deg: Three | Literal["find"] = (0.0, 0.0, 0.0)
     mounting_sigma_deg: NotNegative = 0.5

@@ -105,18 +105,22 @@ def commands(operator: Operator) -> None:
 
 
 def main(where: str, scenario: str, seconds: str) -> int:
-    """Bridge first, then the bench for ``seconds``; both end in order.
+    """Bridge first, then the bench for ``seconds``; both end in order."""
+    return in_memory(Path(where), lambda folder: session(folder, scenario, seconds))
 
-    All files are written to memory first: in user-mode Linux a slow disk stops the whole guest.
+
+def in_memory(folder: Path, play: Callable[[Path], dict[str, object]]) -> int:
+    """Play a session in a copy of ``folder``, and print what it reports; all files are in the folder then.
+
+    They are written to memory first: in user-mode Linux a slow disk stops the whole guest.
     """
-    folder = Path(where)
     memory = Path("/dev/shm")
     os.environ["PYTHONUNBUFFERED"] = "1"
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as fast:
         for path in folder.glob("*.toml"):
             shutil.copy(path, fast)
         try:
-            report = session(Path(fast), scenario, seconds)
+            report = play(Path(fast))
         finally:
             for path in Path(fast).iterdir():
                 shutil.copy(path, folder)
