@@ -82,7 +82,7 @@ class Matching:
     @property
     def white(self) -> bool:
         """Whether it estimates what matters, so that its innovations have nothing in common."""
-        return set(_states(VELOCITY, PHI, *_BIASES)) <= set(self.estimated)
+        return set(_states(VELOCITY, PHI, *_BIASES, MOUNTING)) <= set(self.estimated)
 
     @property
     def needs(self) -> frozenset[str]:

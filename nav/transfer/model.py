@@ -270,6 +270,7 @@ def velocity_rows(s: Scene) -> Rows:
     H[:, VELOCITY] = _EYE
     H[:, PHI] = -skew(swing)
     H[:, GYRO_BIAS] = -lag
+    H[:, GYRO_AXES] = -np.einsum("ij,k->ijk", lag, s.now.w_b).reshape(3, 9)
     H[:, LEVER] = -turn @ s.C_ba
     H[:, MOUNTING] = -turn @ s.C_ba @ skew(s.l_a)
     r = x[X_V : X_V + 3] - s.C_ng @ s.master.v_g - swing

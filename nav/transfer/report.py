@@ -29,7 +29,7 @@ class Report(NamedTuple):
     Position (rad, rad, m), ``v_g`` (3,) m/s, ``q_gb`` (4,), ``w_b`` (3,) rad/s and ``f_b`` (3,) m/s^2 over
     the last sample; ``x`` (X_SIZE,) the nominal state. ``P`` (SIZE, SIZE): covariance of the states of
     `nav.transfer.states` in east, north, up, against the truth: the master's own errors are in it, which
-    `progress` leaves out.
+    ``relative``, the same else, and `progress` leave out.
     """
 
     progress: TransferProgress
@@ -42,6 +42,7 @@ class Report(NamedTuple):
     f_b: Vector
     x: Vector
     P: Matrix
+    relative: Matrix
 
 
 def ratios(P: Matrix, first: Vector, matching: Matching) -> tuple[tuple[str, float], ...]:
@@ -82,6 +83,7 @@ def report(
         hint(matching, sigma[PHI] / transfer.sigma),
         quality,
     )
+    relative = P.copy()
     for part, own in (
         (POSITION, master.sigma_position),
         (VELOCITY, master.sigma_velocity),
@@ -92,7 +94,7 @@ def report(
     sums = slave.live_sums
     w_b, f_b = sums[S_WB : S_WB + 3] / sums[S_DT], sums[S_FB : S_FB + 3] / sums[S_DT]
     v_g, q_gb = C_gn @ x[X_V : X_V + 3], rot.quat_multiply(q_gn, x[X_Q : X_Q + 4])
-    return Report(progress, lat, lon, float(x[X_H]), v_g, q_gb, w_b, f_b, x.copy(), P)
+    return Report(progress, lat, lon, float(x[X_H]), v_g, q_gb, w_b, f_b, x.copy(), P, relative)
 
 
 def hint(matching: Matching, short: Vector) -> str:

@@ -15,7 +15,8 @@ import numpy as np
 
 from nav import earth
 from nav import rotation as rot
-from nav.align.types import AlignConfig, TransferConfig
+from nav.align.types import AlignConfig, TransferConfig, advance, begin, result
+from nav.transfer import alignment
 from nav.types import ImuSample, MasterState
 
 T0_NS = 10**12
@@ -270,3 +271,25 @@ def config(s, **changes):
         accel_scale=s.accel_scale,
         transfer=TransferConfig(**(told | changes)),
     )
+
+
+def align(matching, flight, told, faulty=None):
+    """Hand-over of an alignment (or None), the reasons why it began again, and its last state.
+
+    ``faulty`` makes of the samples those that arrive.
+    """
+    run = begin(alignment("transfer_" + matching), told)
+    reasons = []
+    for sample in flight.samples if faulty is None else faulty(flight.samples):
+        run, status = advance(run, sample)
+        if status.refusal is not None:
+            reasons.append(status.refusal)
+        if status.done:
+            return result(run), reasons, run.state
+    return None, reasons, run.state
+
+
+def surprise(flight, init):
+    """Normalised square (9 degrees of freedom) of a hand-over's errors of position, velocity and phi."""
+    e = errors(flight, init)
+    return float(e @ np.linalg.solve(init.P[:9, :9], e))
