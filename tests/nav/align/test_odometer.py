@@ -242,7 +242,7 @@ def test_a_tenth_of_a_degree_of_latitude_is_allowed_for():
 def test_more_latitude_than_that_is_told():
     _, _, config, samples, _, _ = driven("winding", 3)
     told = re.search(
-        r"([\d.]+) deg further south: latitude", align(samples, northward(config, 0.6)).refusals[0]
+        r"([\d.]+) deg further south: the latitude", align(samples, northward(config, 0.6)).refusals[0]
     )
     # the gyros' biases are 0.027 deg, noise as much; what is told is seen to better than 0.1: three sigma
     assert float(told[1]) == pytest.approx(0.6, abs=0.3)
