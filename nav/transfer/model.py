@@ -48,7 +48,7 @@ Matrix = NDArray[np.float64]
 MARKOV: Final = 2.146
 """Natural rate of a second-order Markov process times its correlation time (where 1/e is left of it)."""
 _KEPT: Final = np.array([k for k in range(house.FULL) if not 15 <= k < house.BASIC])
-CURVED: Final = 0.1
+CURVED: Final = 0.03
 """Of what the delay's uncertainty does to a row: more that is no straight line makes it useless."""
 _EYE: Final = np.eye(3)
 _ZERO: Final = np.zeros(3)
