@@ -50,6 +50,10 @@ MARKOV: Final = 2.146
 _KEPT: Final = np.array([k for k in range(house.FULL) if not 15 <= k < house.BASIC])
 CURVED: Final = 0.03
 """Of what the delay's uncertainty does to a row: more that is no straight line makes it useless."""
+CHANGE_S: Final = 0.02
+"""Over which the change of the rate at an instant is taken."""
+CHANCE: Final = 16.3
+"""Chi-square of three that noise exceeds in one of a thousand."""
 _EYE: Final = np.eye(3)
 _ZERO: Final = np.zeros(3)
 
@@ -196,12 +200,20 @@ class Line(NamedTuple):
     slope: Vector
     bend: Vector
 
-    def rows(self, r: Vector, H: Matrix, sigma: float, spread: float) -> Rows:
-        """Rows with noise ``sigma``: the best line over three sigma points, and what bends away from it."""
-        H[:, DELAY] = -self.slope
+    def rows(self, r: Vector, H: Matrix, sigma: float, spread: float, own: float) -> Rows:
+        """Rows with noise ``sigma``: the best line over three sigma points, and what bends away from it.
+
+        ``own``: sigma an axis of the slope by what the slave alone does: it bends, vibrates, its gyros are
+        noisy. A slope that may be nothing else tells no delay, and to take it for one would find a wrong one
+        ever more surely; then what the delay may do is noise of the row.
+        """
+        size = float(self.slope @ self.slope)
+        share = max(0.0, 1.0 - CHANCE * own**2 / size) if size > 0.0 else 0.0
+        H[:, DELAY] = -share * self.slope
         bend = math.sqrt(2.0) / 3.0 * float(np.linalg.norm(self.bend))
         straight = bend < max(sigma, CURVED * spread * float(np.linalg.norm(self.slope)))
         R = _EYE * sigma**2 + 2.0 / 9.0 * np.outer(self.bend, self.bend)
+        R += (1.0 - share**2) * spread**2 / 3.0 * np.outer(self.slope, self.slope)
         return Rows(r - self.bend / 3.0, H, R, straight)
 
 
@@ -228,6 +240,18 @@ class Scene(NamedTuple):
     C_fa: Matrix
     l_a: Vector
     w_eb: Vector
+
+    @property
+    def own_rate(self) -> float:
+        """Sigma of what the slave turns by alone, rad/s an axis: flexure, and what is in the rates' noise."""
+        transfer = self.transfer
+        bends = 0.0 if transfer.flexure is None else float(np.max(transfer.flexure / transfer.flexure_time))
+        return math.hypot(transfer.sigma_rate, MARKOV * bends)
+
+    @property
+    def own_change(self) -> float:
+        """Sigma of how fast that changes, rad/s^2, as it is seen over the spread of the delay."""
+        return self.own_rate / (math.sqrt(2.0) * (self.now.spread or 0.5 * CHANGE_S))
 
 
 def scene(x: Vector, now: Instant, master: MasterState, transfer: TransferConfig) -> Scene:
@@ -281,7 +305,9 @@ def velocity_rows(s: Scene) -> Rows:
         away = line(-lag @ before, -lag @ after, s.now.spread)
     else:
         away = Line(lag @ s.now.dw_b, _ZERO)
-    rows = Line(gained + away.slope, away.bend).rows(r, H, s.transfer.sigma_velocity, s.now.spread)
+    rows = Line(gained + away.slope, away.bend).rows(
+        r, H, s.transfer.sigma_velocity, s.now.spread, s.own_change * float(np.linalg.norm(l_b))
+    )
     return rows._replace(R=rows.R + lag @ lag.T * s.now.sigma_w**2)
 
 
@@ -304,7 +330,7 @@ def attitude_rows(s: Scene) -> Rows:
         away = line(s.C @ (before - earth), -s.C @ (after - earth), s.now.spread)
     else:
         away = Line(s.C @ s.w_eb, _ZERO)
-    return away.rows(r, H, s.transfer.sigma_attitude, s.now.spread)
+    return away.rows(r, H, s.transfer.sigma_attitude, s.now.spread, s.own_rate)
 
 
 def rate_rows(s: Scene) -> Rows:
@@ -324,4 +350,5 @@ def rate_rows(s: Scene) -> Rows:
     else:
         away = Line(s.now.dw_b, _ZERO)
     r = w - s.C_fa @ w_a - s.C_ba @ s.x[place(FLEXURE_RATE)]
-    return away.rows(r, H, math.hypot(s.transfer.sigma_rate, s.now.sigma_w), s.now.spread)
+    sigma = math.hypot(s.transfer.sigma_rate, s.now.sigma_w)
+    return away.rows(r, H, sigma, s.now.spread, s.own_change)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nav.align.types import AlignConfig, TransferConfig
 from nav.strapdown.kernels import X_V
 from nav.transfer.kernels import S_DT, S_FB, S_SIZE, run
-from nav.transfer.model import Instant, bent, dynamics, place, predict
+from nav.transfer.model import CHANGE_S, Instant, bent, dynamics, place, predict
 from nav.transfer.states import DELAY, GYRO_AXES, GYRO_BIAS
 from nav.types import ImuSample
 
@@ -27,7 +27,6 @@ Matrix = NDArray[np.float64]
 SEGMENT_NS: Final = 25_000_000
 """Longest step of the covariance: attitude turns little in it."""
 RATE_S: Final = 0.005  # over which the rate at an instant is taken
-CHANGE_S: Final = 0.02  # over which its change is
 SPREAD: Final = 3.0**0.5  # sigmas of the delay that a message's time may be off by
 _MARGIN_NS: Final = 150_000_000  # kept behind the anchor for that
 _BLOCK: Final = 4096
