@@ -74,6 +74,12 @@ FIGURES: Final[dict[str, Figure]] = {
         "velocity that a swing makes of accelerometers that sit apart, and their compensation",
         "Yan Gongmin 2008, chapter 5",
     ),
+    "transfer": Figure(
+        "bridge.studies.figures.transfer",
+        "misalignment after transfer alignment, every matching and flight, against print and bound",
+        'textbook chapter "Inertial navigation", Table 2-11 and section 2.5.3.4',
+        24,
+    ),
 }
 """Name on the command line to figure."""
 
