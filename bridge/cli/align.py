@@ -58,12 +58,12 @@ def run(args: argparse.Namespace) -> int:
     from bridge.report import explain_wait
     from bridge.studies import alignment_report as report
     from bridge.studies.alignment_table import run_methods
-    from nav.align import ALIGNMENTS
+    from nav.transfer import methods as every
 
     capture = Capture(args.capture)
     config = Config.for_capture(capture.attachments, args.config)
     if args.all:
-        methods = list(ALIGNMENTS)
+        methods = list(every())
     elif args.method:
         methods = list(dict.fromkeys(args.method))
     else:

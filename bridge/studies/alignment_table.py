@@ -9,21 +9,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bridge.config import Config
-from bridge.engine import BACKWARDS_NS, build_drivers
+from bridge.engine import build_drivers
 from bridge.errors import CaptureError, ConfigError
 from bridge.evaluate import TruthTable
+from bridge.heard import heard
 from bridge.navigators import lacking, navigator_config
 from bridge.recording import Capture
 from nav import rotation
-from nav.align import ALIGNMENTS, AlignConfig, AlignStatus, NavInit, Run, advance, begin, result
+from nav.align import AlignConfig, AlignStatus, NavInit, Run, advance, begin, result
 from nav.earth import earth_rate_g
 from nav.filter.settings import align_config
+from nav.transfer import alignment
 from nav.types import ImuFlag, ImuSample, Sample
 
 Array = NDArray[np.float64]
@@ -105,21 +107,8 @@ def _for_good(t_s: Array, holds: NDArray[np.bool_]) -> float | None:
 def samples_of(capture: Capture, config: Config, navigator: str) -> Iterator[Sample]:
     """What a navigator's devices say, in the order of arrival."""
     drivers = build_drivers(config)
-    routes: dict[tuple[int, int], list[Any]] = {}
-    for name in config.navigators[navigator].devices:
-        for key in drivers[name].keys:
-            routes.setdefault(key, []).append(drivers[name])
-    now_ns: int | None = None
-    for frame in capture.frames():
-        if now_ns is None or frame.rx_ns > now_ns:
-            now_ns = frame.rx_ns
-        elif frame.rx_ns < now_ns - BACKWARDS_NS:
-            continue
-        takers = routes.get((frame.source, frame.key))
-        if takers is not None:
-            frame = frame._replace(rx_ns=now_ns)
-            for driver in takers:
-                yield from driver.feed(frame)
+    for _, made in heard(capture, [drivers[name] for name in config.navigators[navigator].devices]):
+        yield from made
 
 
 class _Line:
@@ -129,7 +118,7 @@ class _Line:
         self.found = Found(method)
         self._config = config
         self._truth = truth
-        self._run: Run = begin(ALIGNMENTS[method], config)
+        self._run: Run = begin(alignment(method), config)
         self._start_ns: int | None = None
         self._next_ns = 0
         self._rows: list[tuple[int, AlignStatus]] = []
@@ -274,10 +263,10 @@ def run_methods(
     if name not in config.navigators:
         known = ", ".join(config.navigators)
         raise ConfigError(f'{config.file}: found no navigator "{name}", expected one of {known}')
-    for method in methods:
-        if method not in ALIGNMENTS:
-            raise ConfigError(f'found no alignment "{method}", expected one of {", ".join(ALIGNMENTS)}')
     lacks = lacking(name, config)
+    for method in methods:
+        if method not in lacks:
+            raise ConfigError(f'found no alignment "{method}", expected one of {", ".join(lacks)}')
     align = align_config(navigator_config(name, config))
     truth = _Truth(TruthTable.from_documents(capture.truth()))
     lines = {method: _Line(method, align, truth) for method in methods if not lacks[method]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from dataclasses import replace
@@ -171,6 +172,12 @@ def test_a_demo_aligns_a_slave_and_says_how_well(
     assert main(["replay", "d.mcap"]) == 0
     digest = re.findall(r"solution sha256: [0-9a-f]{64}", said)
     assert digest == re.findall(r"solution sha256: [0-9a-f]{64}", capsys.readouterr().out)
+    # off line it is the same alignment of the same samples
+    assert main(["align", "d.mcap", "--json"]) == 0
+    (again,) = json.loads(capsys.readouterr().out)["alignments"]
+    handed_over = re.search(r"handed over after (\d\.\d) s", said)
+    assert handed_over is not None
+    assert again["ended_s"] == pytest.approx(float(handed_over.group(1)), abs=0.06)
 
 
 def test_a_manoeuvre_or_matching_without_a_master_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ from bridge.frame import BRIDGE, Event, RawFrame
 from bridge.recording import Capture, Recorder
 from bridge.studies.alignment_report import lines_of
 from bridge.studies.alignment_table import Found, Trace, run_methods, samples_of
-from nav.align import ALIGNMENTS
+from nav.transfer import alignment, methods
 from nav.types import ImuSample
 from tests.engine.made import START_NS, bench_frames
 from virtual_bus.bus import Bench
@@ -96,10 +96,10 @@ def test_all_of_them_are_run_or_say_why_not(
     # eight seconds are too short for all but a stored attitude
     main(["align", str(capture), "--all", "--seconds", "8", "--out", str(folder)])
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines[2 : 2 + len(ALIGNMENTS)]] == list(ALIGNMENTS)
+    assert [line.split()[0] for line in lines[2 : 2 + len(methods())]] == list(methods())
     pictures = {path.stem for path in folder.iterdir()}
-    skipped = {row.split()[0] for row in lines[2 : 2 + len(ALIGNMENTS)] if "not run" in row}
-    assert pictures | skipped == set(ALIGNMENTS)
+    skipped = {row.split()[0] for row in lines[2 : 2 + len(methods())] if "not run" in row}
+    assert pictures | skipped == set(methods())
     assert not pictures & skipped
     assert "stored: not run, it needs a stored heading or an attitude in the configuration" in lines
     assert "moving_gyrocompass, odometer: not run, it needs an odometer" in lines
@@ -136,9 +136,9 @@ def test_later_and_no_navigator_and_no_alignment(capture: Path, capsys: pytest.C
 def test_what_lacks_is_not_run(capture: Path) -> None:
     config = Config.for_capture(Capture(capture).attachments, None)
     kinds = {"imu", "gnss"}
-    methods = [name for name in ALIGNMENTS if ALIGNMENTS[name].needs - kinds]
-    for one in run_methods(Capture(capture), config, methods, seconds=1.0):
-        needed = ALIGNMENTS[one.method].needs
+    wanting = [name for name in methods() if alignment(name).needs - kinds]
+    for one in run_methods(Capture(capture), config, wanting, seconds=1.0):
+        needed = alignment(one.method).needs
         assert bool(one.lacks) == (one.trace is None)
         assert not one.lacks or one.lacks in needed
 
