@@ -13,6 +13,7 @@ from nav.types import Vector
 EPOCHS: Final = 16  # differences that count as the present
 NEAR, FAR = 2, 4  # epochs between those that a difference takes
 FEWEST: Final = 4
+BACK: Final = EPOCHS + 4 * FAR  # epochs that the present has to do with
 CHANCE: Final = 2.0
 GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)
 
@@ -23,13 +24,15 @@ class Roughness(NamedTuple):
     A cubic has none, so neither gravity, its drift nor a bias shows, only what is different from epoch to
     epoch and not explained by what stands beside them. They are taken between every `NEAR`-th epoch, since
     neighbours overlap, and between every `FAR`-th, which sees a slower sway. ``walk`` m/s/sqrt(s): the
-    accelerometers' noise, which shows as well, integrated once or ``twice``, and is none of the epochs'.
+    accelerometers' noise, which shows as well, integrated once or ``twice``, and is none of the epochs'. Nor
+    is what a reference has wandered off by each of them: ``wandered`` m^2, variance of a component.
     """
 
     walk: float
     twice: bool = True
     t: tuple[float, ...] = ()
     z: tuple[Vector, ...] = ()
+    wandered: tuple[float, ...] = ()
     near: tuple[Fourth, ...] = ()
     far: tuple[Fourth, ...] = ()
 
@@ -60,25 +63,36 @@ def _beyond(fourths: tuple[Fourth, ...]) -> float:
     return seen - walk if seen > CHANCE * walk else 0.0
 
 
-def follow(rough: Roughness, t: float, z: Vector) -> Roughness:
-    """Add the epoch ``z`` (3,) at ``t`` s; or (3, 1 + n): beside it, what explains it linearly."""
-    times, values = (*rough.t, t)[-4 * FAR - 1 :], (*rough.z, z)[-4 * FAR - 1 :]
+def follow(rough: Roughness, t: float, z: Vector, wandered: float = 0.0) -> Roughness:
+    """Add the epoch ``z`` (3,) at ``t`` s; or (3, 1 + n): beside it, what explains it linearly.
+
+    ``wandered`` m^2 is the variance by which a reference has wandered off since the epoch before.
+    """
+    many = 4 * FAR + 1
+    times, values = (*rough.t, t)[-many:], (*rough.z, z)[-many:]
+    off = (*rough.wandered, (rough.wandered[-1] if rough.wandered else 0.0) + wandered)[-many:]
     near, far = rough.near, rough.far
     if len(times) > 4 * NEAR:
-        near = (*near, _fourth(rough, times[::-NEAR][:5], values[::-NEAR][:5]))[-EPOCHS:]
+        last = slice(None, -4 * NEAR - 2, -NEAR)
+        near = (*near, _fourth(rough, times[last], values[last], off[last]))[-EPOCHS:]
     if len(times) > 4 * FAR:
-        far = (*far, _fourth(rough, times[::FAR], values[::FAR]))[-EPOCHS:]
-    return rough._replace(t=times, z=values, near=near, far=far)
+        every = slice(None, None, FAR)
+        far = (*far, _fourth(rough, times[every], values[every], off[every]))[-EPOCHS:]
+    return rough._replace(t=times, z=values, wandered=off, near=near, far=far)
 
 
-def _fourth(rough: Roughness, times: tuple[float, ...], values: tuple[Vector, ...]) -> Fourth:
-    """The fourth divided difference, and the mean square that the walk gives a component of it."""
+def _fourth(
+    rough: Roughness, times: tuple[float, ...], values: tuple[Vector, ...], wandered: tuple[float, ...]
+) -> Fourth:
+    """The fourth divided difference, and the mean square that the walks give a component of it."""
     t = np.array(times) - min(times)
     apart = t[:, None] - t + np.eye(5)
     weights = 1.0 / np.prod(apart, axis=1)
     first, last = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
     # covariance of white noise, integrated: Brownian motion and its integral
     walk = rough.walk**2 * (first**2 * (3.0 * last - first) / 6.0 if rough.twice else first)
+    off = np.array(wandered) - min(wandered)
+    walk = walk + np.minimum(off[:, None], off)
     size = float(weights @ weights)
     told = np.tensordot(weights, np.array(values), 1) / math.sqrt(size)
     return Fourth(told.reshape(3, -1), float(weights @ walk @ weights) / size)

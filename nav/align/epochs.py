@@ -3,6 +3,10 @@
 What happens to an IMU (a push, a turn that its gyros did not see, a wheel that slips) looks small in one
 epoch and changes all that follow. So rivals go along for a few epochs each: filters that take something to
 have happened at their first epoch. One that foretells the epochs much better is right.
+
+What happens in the first seconds is hidden twice: nothing is foretold yet, and all of it seems rough. A start
+in the midst of a slip is the rule, since the one before refused because of it. So those that begin then stay
+till what is seen of roughness has nothing to do with the beginning any more.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ import numpy as np
 from nav.align import constant
 from nav.align.apparent import Change, change
 from nav.align.constant import POS, SIZE, THETA, VEL, Estimate
-from nav.align.disturbance import Roughness, follow
+from nav.align.disturbance import BACK, Roughness, follow
 from nav.align.types import AlignConfig
 from nav.types import Vector
 
@@ -22,6 +26,7 @@ SETTLE_S: Final = 25.0  # before that the nine elements are not told apart
 SIGMAS: Final = 6.0
 RIVALS: Final = 3
 EVENT: Final = 100.0  # chi-square; a sway, which is no white noise, gives 60 by chance
+LEAST: Final = 1e-6  # m or m/s, of an epoch
 DOUBT: Final = 0.4  # of what is no chance: from there on the answer may be off by what made a rival better
 _HAPPENED: Final = np.zeros((SIZE, SIZE))  # covariance of what may have happened: rad, m/s, m
 _HAPPENED[THETA, THETA] = 1e-3**2 * np.eye(3)
@@ -30,8 +35,9 @@ _EYE: Final = np.eye(3)
 
 
 class Epoch(NamedTuple):
-    """What one epoch says: z (3,) = H (3, SIZE) x + noise, and the change since the one before."""
+    """What one epoch at ``t`` s says: z (3,) = H (3, SIZE) x + noise, and the change since the one before."""
 
+    t: float
     change: Change
     H: Vector
     z: Vector
@@ -39,22 +45,23 @@ class Epoch(NamedTuple):
 
 
 class Rival(NamedTuple):
-    """What the estimate is if something happened ``epochs`` ago.
+    """What the estimate is if something happened; it goes along till ``last`` epochs are taken.
 
-    ``better``: sum of the chi-squares that it foretold them better by, times the variances they were given.
+    ``better``: sum of the chi-squares that it foretold all since better by, times their variance in that of
+    their floor.
     """
 
     estimate: Estimate
+    last: int
     better: float = 0.0
-    epochs: int = 0
 
 
 class Book(NamedTuple):
     """The estimate at a row, the roughness of the epochs so far, and those that wait for it.
 
-    A rival goes along for ``lasts`` epochs. ``white``: chi-square by which it must be better where epochs are
-    no rougher than their floor; it grows with their variance up to `EVENT`. ``worst``: the largest part of it
-    that one reached.
+    A rival goes along for ``lasts`` epochs, from the first seconds on till `BACK` have been taken and as many
+    more. ``white``: chi-square by which it must be better where epochs are no rougher than their floor; it
+    grows with their variance up to `EVENT`. ``worst``: the largest part of it that one reached.
     """
 
     estimate: Estimate
@@ -95,51 +102,56 @@ def take(
     ``bare`` (3,) at ``t`` s is what its roughness is seen in, smooth but for that; ``floor`` is the least
     standard deviation a component is given. A single epoch contradicts if it is off by more than ``large``.
     """
-    epoch = Epoch(change(book.row, row), H, z, walk)
-    rough = follow(book.rough, t, bare)
-    usual, now = book.rough.sigma, rough.sigma
-    e, rivals, waiting, moved = book.estimate, book.rivals, (*book.waiting, epoch), 0.0
-    worst = book.worst
+    epoch = Epoch(t, change(book.row, row), H, z, walk)
+    rough = follow(book.rough, t, bare, float(np.trace(walk)) / 3.0 * epoch.change.dt)
+    usual, now, moved = book.rough.sigma, rough.sigma, 0.0
+    e, rivals, worst, taken = book.estimate, book.rivals, book.worst, book.taken
+    waiting: tuple[Epoch, ...] = (*book.waiting, epoch)
     if now is not None:
-        variance = max(floor, now) ** 2
+        variance, least = max(floor, now) ** 2, max(floor, LEAST) ** 2
         for past in waiting:
+            if taken % (book.lasts // RIVALS) == 0:
+                since = taken if past.t > SETTLE_S else max(taken, BACK)
+                rivals = (*rivals, Rival(e._replace(P=e.P + _HAPPENED), since + book.lasts))
             ahead = constant.predict(e, past.change, config, past.walk)
+            rivals, better = _rivalled(rivals, config, past, ahead, variance, variance / least)
+            rivals = tuple(rival for rival in rivals if rival.last > taken + 1)
+            if past.t > SETTLE_S:
+                worst = max(worst, better / min(EVENT, book.white * variance / least))
             if past is epoch and usual is not None and t > SETTLE_S:
                 seen = constant.innovation(ahead, H, z, max(floor, usual) ** 2 * _EYE)
                 size = float(np.linalg.norm(seen.nu))
-                rivals, better = _rivalled(book, config, epoch, ahead, variance)
-                worst = max(worst, better / _chance(book, variance, floor))
                 if worst > 1.0 or (seen.chi2 > SIGMAS**2 + 3.0 and size > large):
                     moved = size
             e = constant.update(ahead, past.H, past.z, variance * _EYE)
+            taken += 1
         waiting = ()
-    taken = book.taken + 1
     return book._replace(
         estimate=e, row=row, rough=rough, waiting=waiting, taken=taken, rivals=rivals, worst=worst
     ), moved
 
 
-def _chance(book: Book, variance: float, floor: float) -> float:
-    """Chi-square by which a rival is not better by chance."""
-    return min(EVENT, book.white * variance / floor**2) if floor > 0.0 else EVENT
-
-
 def _rivalled(
-    book: Book, config: AlignConfig, epoch: Epoch, ahead: Estimate, variance: float
+    rivals: tuple[Rival, ...],
+    config: AlignConfig,
+    epoch: Epoch,
+    ahead: Estimate,
+    variance: float,
+    rougher: float,
 ) -> tuple[tuple[Rival, ...], float]:
-    """Let the rivals take an epoch, ``ahead`` of which the estimate is; and how much better the best is."""
-    noise, rivals, best = variance * _EYE, book.rivals, 0.0
-    if book.taken % (book.lasts // RIVALS) == 0:
-        rivals = (*rivals, Rival(book.estimate._replace(P=book.estimate.P + _HAPPENED)))
+    """Let the rivals take an epoch, ``ahead`` of which the estimate is; and how much better the best is.
+
+    ``rougher``: the epoch's variance in that of its floor.
+    """
+    noise, best, taken = variance * _EYE, 0.0, []
     known = constant.innovation(ahead, epoch.H, epoch.z, noise)
-    left = []
-    for estimate, better, epochs in rivals:
-        e = constant.predict(estimate, epoch.change, config, epoch.walk)
-        better += (known.chi2 - constant.innovation(e, epoch.H, epoch.z, noise).chi2) * variance
-        best = max(best, better / variance)
-        if epochs + 1 < book.lasts:
-            left.append(Rival(constant.update(e, epoch.H, epoch.z, noise), better, epochs + 1))
-    return tuple(left), best
+    for rival in rivals:
+        e = constant.predict(rival.estimate, epoch.change, config, epoch.walk)
+        gained = known.chi2 - constant.innovation(e, epoch.H, epoch.z, noise).chi2
+        better = rival.better + gained * rougher
+        best = max(best, better / rougher)
+        taken.append(rival._replace(estimate=constant.update(e, epoch.H, epoch.z, noise), better=better))
+    return tuple(taken), best
 
 
 def bring(book: Book, config: AlignConfig, row: Vector, walk: Vector) -> Book:

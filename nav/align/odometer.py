@@ -304,6 +304,7 @@ def _solve(state: Ride, done: bool) -> Taken[Ride]:
         reason = f"{seconds:.0f} s do not tell north on this road" if done else None
         return _waiting(state), reason
     solved, seen = found
+    solved = solved._replace(P=book.doubt * solved.P)
     state = state._replace(solved=solved)
     now = _place(state, row)
     since = math.remainder(now[1] - place[1], 2.0 * math.pi)

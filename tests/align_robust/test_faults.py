@@ -10,7 +10,7 @@ finds some sizes that do end wrong: README.md names them.
 import pytest
 
 from bridge.realtime import no_collections
-from tests.align_robust.cases import SCENES, TRIED, WORDS, cases
+from tests.align_robust.cases import SCENES, TRIED, WORDS, Case, cases
 from tests.align_robust.judge import BOUND, end_of, is_right
 
 SEEDS = range(3)
@@ -42,3 +42,16 @@ def test_a_fault_is_harmless_or_named(case):
     for size, scene in case.scenes(SEEDS[turn % len(SEEDS)], slice(-turn % PART, None, PART)):
         end = end_of(case.method, scene, MOST)
         assert is_right(end, WORDS[case.fault]), (size, end)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_start_in_the_midst_of_a_slight_slip_is_not_wrong(seed):
+    """One percent for twenty seconds: a first refusal comes amidst it, so the next start has its end."""
+    case = Case("odometer", "rolling", "slip_20s")
+    tried = 0
+    for size, scene in case.scenes(seed):
+        if size in (0.99, 1.01):
+            end = end_of(case.method, scene)
+            assert is_right(end, WORDS[case.fault]), (size, end)
+            tried += 1
+    assert tried == 2
