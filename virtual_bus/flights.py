@@ -50,6 +50,10 @@ FLIGHTS: Final = {
         "the nose swung to either side, the path straight",
         [Cruise(duration_s=1.0), Wiggle(duration_s=9.0, angle_deg=5.0, count=3), _STILL],
     ),
+    "quick-s-turn": Flight(
+        "one S-turn of 3 degrees within nine seconds",
+        [Cruise(duration_s=1.0), STurns(duration_s=9.0, angle_deg=3.0), _STILL],
+    ),
     "ship-roll": Flight(
         "a ship that rolls in the swell",
         [Cruise(duration_s=60.0)],
