@@ -140,7 +140,7 @@ _NOTES: Final = (
     "An independent simulation of the wing rock has 0.70, 0.97, 0.19 mrad about east, north, up after 5 s, "
     "and 4.5 mrad about up without it.",
     "The document's heading manoeuvre turns the path: a level acceleration shows heading by velocity. Where "
-    "the nose alone swings, path straight, a turn about the vertical cannot tell a mounting about the vertical "
+    "the nose alone swings, path straight, a turn about the vertical cannot tell a mounting about it "
     "from a heading error: heading stays as it was, whatever the matching.",
 )
 
