@@ -182,6 +182,7 @@ def _transfer(table: TransferOptions) -> TransferConfig:
         sigma_attitude=table.attitude_noise_mrad * 1e-3,
         sigma_position=table.position_noise_m,
         sigma_rate=table.rate_noise_deg_per_s * _DEG,
+        vertical_walk=table.vertical_walk_m_s_per_sqrt_s,
         latency=table.latency_sigma_ms * 1e-3,
         latest_s=table.latest_ms * 1e-3,
         flexure=None if table.flexure_mrad is None else 1e-3 * np.array(table.flexure_mrad),

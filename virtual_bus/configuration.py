@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from virtual_bus.crab import CRAB_SHORTEST
 from virtual_bus.devices import EACH, FRAME_NS
 from virtual_bus.ellipsoid import G0
+from virtual_bus.flexure import Markov
 from virtual_bus.grades import (
     ARCSEC,
     DEG_PER_H,
@@ -25,6 +26,7 @@ from virtual_bus.grades import (
     ImuErrors,
     Triad,
 )
+from virtual_bus.master import HEIGHT_S
 from virtual_bus.scenario import Scenario
 from virtual_bus.tables import DeviceTable
 from virtual_bus.truth import mounting_matrix
@@ -187,6 +189,7 @@ def _transfer(s: Scenario) -> list[str]:
             f"flexure_mrad = {list(s.flexure.sigma_mrad)!r}",
             f"flexure_s = {list(s.flexure.correlation_s)!r}",
         ]
+    held = Markov.correlated(master.height_m, HEIGHT_S)
     swing = 1e-3 * shakes * float(np.linalg.norm(s.lever_arm()))
     noise = {
         "mounting_sigma_deg": max(0.01, s.vehicle.mounting_sigma_deg),
@@ -196,6 +199,8 @@ def _transfer(s: Scenario) -> list[str]:
         "rate_noise_deg_per_s": max(
             1e-3, math.hypot(master.rate_noise_deg_per_s, math.degrees(1e-3 * shakes))
         ),
+        # of its velocity, critically damped
+        "vertical_walk_m_s_per_sqrt_s": 2.0 * held.sigma * held.rate**1.5,
     }
     return [
         "",

@@ -26,7 +26,7 @@ from virtual_bus.truth import Times, Trajectory
 Array = NDArray[np.float64]
 
 STEP_NS: Final = 100_000_000
-_HEIGHT_S: Final = 200.0  # over which its height's error stays
+HEIGHT_S: Final = 200.0  # over which its height's error stays
 _CHUNK: Final = 256  # steps solved at a time
 # Simpson's rule over a step
 _PLACES: Final = np.array([0, STEP_NS // 2, STEP_NS])
@@ -95,7 +95,7 @@ class Master:
         self._known = (np.array(size) * rng.standard_normal(7))[None]
         self.gyro = errors.gyro * rng.standard_normal(3)
         self.accel = errors.accel * rng.standard_normal(3)
-        slow = Markov.correlated(errors.height, _HEIGHT_S)
+        slow = Markov.correlated(errors.height, HEIGHT_S)
         self._height = Wandering([[slow]], rng, 10 * STEP_NS)
 
     def errors(self, t_ns: Times) -> tuple[Array, Array, Array]:

@@ -149,6 +149,8 @@ def predict(P: Matrix, F: Matrix, dt: float, config: AlignConfig, transfer: Tran
     A[:, :MOVED] += np.eye(MOVED)
     q = np.zeros(MOVED)
     q[VELOCITY], q[PHI] = config.velocity_random_walk**2, config.angle_random_walk**2
+    # relative to the master, whose vertical channel is not the free one of the equations
+    q[VELOCITY.stop - 1] += transfer.vertical_walk**2
     P = P.copy()
     B, Q = bend(transfer, dt)
     f = slice(FLEXURE.start, FLEXURE_RATE.stop)

@@ -6,14 +6,26 @@ import numpy as np
 import pytest
 
 from nav import rotation as rot
-from nav.align.types import TransferConfig
+from nav.align.types import AlignConfig, TransferConfig
 from nav.earth import position_matrix
 from nav.strapdown.mechanize import NavState, update
 from nav.transfer import model
 from nav.transfer.kernels import S_DT, S_FB, S_SIZE, S_WB, run
 from nav.transfer.model import Instant
 from nav.transfer.stage import correct
-from nav.transfer.states import ACCEL_AXES, ACCEL_BIAS, DELAY, GYRO_AXES, GYRO_BIAS, SIZE, X_REST, X_SIZE
+from nav.transfer.states import (
+    ACCEL_AXES,
+    ACCEL_BIAS,
+    DELAY,
+    GYRO_AXES,
+    GYRO_BIAS,
+    MOUNTING,
+    MOVED,
+    SIZE,
+    VELOCITY,
+    X_REST,
+    X_SIZE,
+)
 from nav.types import MasterState
 
 RNG = np.random.default_rng(7)
@@ -108,3 +120,14 @@ def test_flexure_is_stationary() -> None:
     half, half_Q = model.bend(transfer, 0.1)
     assert half @ half == pytest.approx(A, abs=1e-12)
     assert half @ half_Q @ half.T + half_Q == pytest.approx(Q, abs=1e-15)
+
+
+def test_the_masters_vertical_velocity_walks() -> None:
+    """By nothing else than its variance over time, where no error moves another: 0.01^2 x 4 s."""
+    config, walk = AlignConfig(1e-5, 1e-2, 1e-5, 1e-3), 0.01
+    F, P = np.zeros((MOVED, MOUNTING.start)), np.zeros((SIZE, SIZE))
+    still = model.predict(P, F, 4.0, config, TransferConfig())
+    walked = model.predict(P, F, 4.0, config, TransferConfig(vertical_walk=walk))
+    expected = np.zeros((SIZE, SIZE))
+    expected[VELOCITY.stop - 1, VELOCITY.stop - 1] = walk**2 * 4.0
+    assert walked - still == pytest.approx(expected, abs=1e-15)
