@@ -85,7 +85,9 @@ class Aligning:
         elif self._behind_ns is None:
             self._behind_ns = t
         self.behind = self._behind_ns is not None and t - self._behind_ns >= UNSAID_NS
-        if t >= self._report_ns or status.transfer is not None:
+        # once it has started a matching says when there is something to report, and of what time that holds
+        unasked = self.mode is not Mode.TRANSFER or status.estimate is None
+        if status.transfer is not None or (unasked and t >= self._report_ns):
             self._report_ns = t + _REPORT_NS
             self._report(t, status, events)
         return None

@@ -50,6 +50,14 @@ def test_modes_and_solutions(method: str) -> None:
     assert np.all(np.abs(flight.v_g[i] - after[-1].v_g) < 4.9 * after[-1].state[S.SIGMA_V])
 
 
+def test_a_message_that_comes_before_the_sample_of_its_time_shows_no_other_mode() -> None:
+    """Messages dated ahead of the newest inertial sample, as clocks of two devices have it on a bus."""
+    _, events = navigate(Set(seconds=6.5, late=-0.004), "transfer_velocity_attitude", duration=5.0)
+    solutions = [e for e in events if isinstance(e, Solution)]
+    assert {e.mode for e in solutions} == {Mode.TRANSFER, Mode.NAVIGATE}
+    assert all(e.flags & SolutionFlag.POSITION for e in solutions)
+
+
 def test_mounting_is_found_and_told() -> None:
     """Wing rock shows how the slave is mounted; the last report has it."""
     flight, events = navigate(Set(seconds=6.0), "transfer_velocity_attitude")
