@@ -52,9 +52,10 @@ def test_modes_and_solutions(method: str) -> None:
 
 def test_a_message_that_comes_before_the_sample_of_its_time_shows_no_other_mode() -> None:
     """Messages dated ahead of the newest inertial sample, as clocks of two devices have it on a bus."""
-    _, events = navigate(Set(seconds=6.5, late=-0.004), "transfer_velocity_attitude", duration=5.0)
+    s = Set(seconds=2.0, master_hz=200.0, late=-0.004)
+    _, events = navigate(s, "transfer_velocity_attitude", duration=5.0)
     solutions = [e for e in events if isinstance(e, Solution)]
-    assert {e.mode for e in solutions} == {Mode.TRANSFER, Mode.NAVIGATE}
+    assert {e.mode for e in solutions} == {Mode.TRANSFER}
     assert all(e.flags & SolutionFlag.POSITION for e in solutions)
 
 
