@@ -41,6 +41,7 @@ METHODS: Final = {
     "transfer_velocity_heading_7": 38,
     "transfer_velocity_attitude": 39,
     "transfer_velocity_rate": 40,
+    "transfer_velocity_11": 41,
 }
 """Numbers of alignments in a command's argument and in SOL_ALIGN; a number is never given to another one."""
 

@@ -26,6 +26,7 @@ MATCHINGS: Final[dict[str, Alignment]] = {
     for one in (
         matching.ONE_SHOT,
         matching.VELOCITY_5,
+        matching.VELOCITY_11,
         matching.POSITION_10,
         matching.HEADING_19,
         matching.HEADING_13,

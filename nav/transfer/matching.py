@@ -104,6 +104,14 @@ ONE_SHOT: Final = Matching("one_shot", (), _COPY, _COPY, _COPY)
 VELOCITY_5: Final = Matching(
     "velocity", _states(slice(3, 5), PHI), _COPY, _LEVEL, level="coordinated turn", heading="S-turn"
 )
+VELOCITY_11: Final = Matching(
+    "velocity_11",
+    _states(slice(3, 5), PHI, *_BIASES),
+    _COPY,
+    _LEVEL,
+    level="coordinated turn",
+    heading="S-turn",
+)
 POSITION_10: Final = Matching(
     "position",
     _states(slice(0, 2), slice(3, 5), PHI, GYRO_BIAS),

@@ -16,7 +16,7 @@ from nav.transfer.model import Instant
 from nav.transfer.stage import Transfer
 from nav.transfer.states import ACCEL_BIAS, GYRO_BIAS, MOUNTING, MOVED, PHI, SIZE, VELOCITY, X_REST, X_SIZE
 from nav.types import MasterState
-from tests.nav.transfer.making import Set, config, fly, straight
+from tests.nav.transfer.making import Set, config, fly, s_turns, straight
 
 
 def ideal(s):
@@ -24,6 +24,19 @@ def ideal(s):
     zero = dict.fromkeys(("mounting", "gyro_bias", "accel_bias", "arw", "vrw"), 0.0)
     noise = dict.fromkeys(("sigma_v", "sigma_att", "sigma_pos", "sigma_rate"), 0.0)
     return fly(replace(s, flexure=None, **zero, **noise)).samples
+
+
+def sigmas(s, which, told):
+    """Of phi (3,), rad, as the filter of a matching says it at its reports on that flight, by their times."""
+    state, said = Transfer(told, which), {}
+    for sample in ideal(s):
+        if isinstance(sample, MasterState):
+            state.message(sample)
+            continue
+        assert state.inertial(sample) is None
+        if state.status.transfer is not None:
+            said[sample.t_ns] = np.array(state.status.transfer.progress.sigma)
+    return said
 
 
 def test_level_in_straight_flight() -> None:
@@ -39,19 +52,26 @@ def test_a_filter_of_all_states_reaches_it() -> None:
     """The 16-state filter under wing rock is within 1.1 of the bound; its own sigma is never below it."""
     s = Set(seconds=5.5)
     times, sigma = bound(config(s), matching.ATTITUDE_16, ideal(s))
-    state = Transfer(config(s), matching.ATTITUDE_16)
-    reached = {}
-    for sample in ideal(s):
-        if isinstance(sample, MasterState):
-            state.message(sample)
-            continue
-        assert state.inertial(sample) is None
-        if state.status.transfer is not None:
-            reached[sample.t_ns] = np.array(state.status.transfer.progress.sigma)
+    reached = sigmas(s, matching.ATTITUDE_16, config(s))
     assert set(reached) == set(times.tolist())
     for t, least in zip(times.tolist(), sigma[:, PHI], strict=True):
         assert np.all(reached[t] > 0.999 * least)
     assert np.all(reached[int(times[-1])] < 1.1 * sigma[-1, PHI])
+
+
+def test_velocity_shows_the_level_to_who_estimates_the_sensors_too() -> None:
+    """S-turns part tilts from accelerometers: eleven states reach the bound, five stay above it.
+
+    The master's vertical velocity wanders, so that there is nothing in it for the bound to take. Mounting
+    and scale, which the eleven leave out too, are worth less than a hundredth. Five states leave the
+    accelerometers' 1 mg where it is.
+    """
+    s = Set(profile=s_turns(period=60.0, amplitude=0.4), seconds=60.0, imu_hz=20.0, master_hz=1.0)
+    told = config(s, vertical_walk=0.05)
+    times, sigma = bound(told, matching.VELOCITY_11, ideal(s))
+    least, end = sigma[-1, PHI], int(times[-1])
+    assert np.all(sigmas(s, matching.VELOCITY_11, told)[end] < 1.02 * least)
+    assert np.all(sigmas(s, matching.VELOCITY_5, told)[end] > 1.3 * least)
 
 
 def observed(which, attitudes):
