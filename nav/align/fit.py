@@ -55,7 +55,7 @@ class Epoch:
 
     fix: GnssFix
     piece: Vector
-    rate: Vector  # w_ib_b (3,) rad/s around the fix
+    rate: Vector  # w_ib_b (3,) rad/s at the fix
 
 
 @dataclass(frozen=True, slots=True)

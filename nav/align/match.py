@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -30,6 +31,7 @@ LONGEST_WINDOW_FIXES: Final = 400
 MOUNTING_LIMIT: Final = math.radians(4.0)
 SPEED_EVERY_NS: Final = 90_000_000  # more is not kept
 SPEED_BEFORE_NS: Final = 3_000_000_000  # of the window's first fix
+AROUND_S: Final = 0.02  # s before and after a fix over which its rate is taken
 _ZERO: Final = np.zeros(3)
 
 
@@ -73,7 +75,7 @@ def step(state: Match, sample: Sample) -> tuple[Match, AlignStatus]:
         state = state._replace(queue=(*state.queue, sample)[-16:])
     elif isinstance(sample, SpeedSample):
         state = state._replace(window=_with_speed(state.window, sample))
-    while state.queue and state.queue[0].t_ns <= state.imu_ns:
+    while state.queue and state.queue[0].t_ns + _around_ns(state.pending) <= state.imu_ns:
         fix, state = state.queue[0], state._replace(queue=state.queue[1:])
         if fix.t_ns > state.last_ns:
             state = _close(state, fix)._replace(last_ns=fix.t_ns)
@@ -95,7 +97,9 @@ def _refuse(state: Match, reason: str) -> tuple[Match, AlignStatus]:
 def _close(state: Match, fix: GnssFix) -> Match:
     """End the open interval at a fix, and solve when it is time."""
     window = state.window
-    piece, rate = _cut(state.pending, fix.t_ns, window.given.gyro_bias)
+    gyro_bias = window.given.gyro_bias
+    rate = rate_at(state.pending, fix.t_ns) - gyro_bias
+    piece = _cut(state.pending, fix.t_ns, gyro_bias)
     window = replace(window, epochs=(*window.epochs, Epoch(fix, piece, rate)))
     if not state.started:
         # bring the level attitude from the hand-over to the first fix
@@ -131,16 +135,42 @@ def _shift(window: Window) -> Window:
     return replace(window, before=before)
 
 
-def _cut(pending: deque[ImuSample], t_ns: int, gyro_bias: Vector) -> tuple[Vector, Vector]:
-    """Take the samples up to ``t_ns`` out of ``pending``: their piece, and the rate at its end.
+def _around_ns(samples: Sequence[ImuSample]) -> int:
+    """Half of the time (ns) that a rate is the mean of: of one sample at least, in whose middle it holds."""
+    return round(max(AROUND_S, 0.5 * samples[-1].dt if samples else 0.0) * 1e9)
+
+
+def rate_at(samples: Sequence[ImuSample], t_ns: int) -> Vector:
+    """w_ib_b (3,) rad/s at ``t_ns`` by the ``samples`` around it: their mean over as long on either side.
+
+    A mean of what came before alone is late by half of its time, and an antenna that swings is then off by
+    how fast its velocity changes.
+    """
+    turned, seconds = np.zeros(3), 0.0
+    if samples:
+        half = min(_around_ns(samples), t_ns - _begin_ns(samples[0]), samples[-1].t_ns - t_ns)
+        for sample in samples:
+            begin_ns = _begin_ns(sample)
+            part = min(sample.t_ns, t_ns + half) - max(begin_ns, t_ns - half)
+            if part > 0:
+                share = part / (sample.t_ns - begin_ns)
+                turned, seconds = turned + share * sample.dtheta, seconds + share * sample.dt
+    return turned / seconds if seconds > 0.0 else turned
+
+
+def _begin_ns(sample: ImuSample) -> int:
+    return sample.t_ns - round(sample.dt * 1e9)
+
+
+def _cut(pending: deque[ImuSample], t_ns: int, gyro_bias: Vector) -> Vector:
+    """Take the samples up to ``t_ns`` out of ``pending``: their piece.
 
     A sample that straddles ``t_ns`` is divided in proportion.
     """
     total, piece = empty(), np.empty(SIZE)
-    turned, seconds = np.zeros(3), 0.0
     while pending:
         sample = pending[0]
-        begin_ns = sample.t_ns - round(sample.dt * 1e9)
+        begin_ns = _begin_ns(sample)
         if begin_ns >= t_ns:
             break
         pending.popleft()
@@ -153,11 +183,9 @@ def _cut(pending: deque[ImuSample], t_ns: int, gyro_bias: Vector) -> tuple[Vecto
             )
         sample_piece(part * sample.dtheta, part * sample.dv, part * sample.dt, gyro_bias, _ZERO, piece)
         extend(total, piece, _ZERO, _ZERO)
-        if t_ns - sample.t_ns < 100_000_000:
-            turned, seconds = turned + part * sample.dtheta, seconds + part * sample.dt
         if part < 1.0:
             break
-    return total, turned / seconds - gyro_bias if seconds > 0.0 else np.zeros(3)
+    return total
 
 
 def _mounting(window: Window, fit: Fit) -> Mounting | None:
