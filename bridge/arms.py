@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
+from scipy import stats
 
 from bridge.calibration import CalibrationFile, read_calibration
 from bridge.calibration_capture import record, unit_of
@@ -31,9 +32,12 @@ ORIGINS: Final = ("axes", "turn")
 """The point nearest to all sensitive axes, or that about which the unit was turned."""
 
 _KEY: Final = "lever_arm_mm"
+_FAINT: Final = 1e-9  # eigenvalues below this share of the largest one are none
 _EVEN: Final = 0.01  # of an interval: what a clock of microseconds and a bus leave of it
 _LETTERS: Final = "xyz"
 _ALONG: Final = ("right", "forward", "up")
+_CHANCE: Final = 1e-3
+"""So seldom arms that are not there look as if they were."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,15 +143,19 @@ def _compensated(stream: Stream, part: slice, c: Calibration, tau: float) -> tup
 def file_of(found: Found) -> str:
     """The calibration with these arms in it, as TOML."""
     document = dict(found.document)
-    for table, values in (("accel", found.arms.arms), ("sigma", found.arms.sigma())):
-        rows = [[round(1e3 * x, 6) for x in row] for row in values.tolist()]
-        if table == "sigma":
-            sigma = dict(document.get("sigma", {}))
-            sigma["accel"] = {**_without_arms(sigma.get("accel", {})), _KEY: rows}
-            document["sigma"] = sigma
-        else:
-            document["accel"] = {**_without_arms(document["accel"]), _KEY: rows}
+    arms, sigmas = _entries(found.arms)
+    sigma = dict(document.get("sigma", {}))
+    document["accel"] = {**_without_arms(document["accel"]), **arms}
+    document["sigma"] = {**sigma, "accel": {**_without_arms(sigma.get("accel", {})), **sigmas}}
     return tomli_w.dumps(document)
+
+
+def _entries(arms: Arms) -> tuple[dict[str, Any], ...]:
+    """What a file says of arms, and of their sigmas."""
+    return tuple(
+        {_KEY: [[round(1e3 * x, 6) + 0.0 for x in row] for row in values.tolist()]}
+        for values in (arms.arms, arms.sigma())
+    )
 
 
 def _without_arms(table: dict[str, Any]) -> dict[str, Any]:
@@ -179,13 +187,60 @@ def lines_of(found: Found) -> list[str]:
     return lines
 
 
-def coefficient_lines(arms: Arms | str) -> list[str]:
-    """The arms among the coefficients of a calibration, or why they are not there."""
-    if isinstance(arms, str):
-        return [f"arms of the accelerometers: {arms}"]
-    rows = zip(_LETTERS, 1e3 * arms.arms, 1e3 * arms.sigma(), strict=True)
-    return [
-        f"{f'accel {letter} lever arm {along}':<44} {value:>14.4f} {sigma:>10.2g}  mm"
-        for letter, row, sigmas in rows
-        for along, value, sigma in zip(_ALONG, row, sigmas, strict=True)
-    ]
+class _Verdict(NamedTuple):
+    """What of arms goes into a calibration and its sigmas, and why."""
+
+    arms: dict[str, Any]
+    sigmas: dict[str, Any]
+    why: str
+
+
+def _verdict(found: Arms | str, axes: Vector, known: Vector) -> _Verdict:
+    """Arms that chance could have made are not taken off: what was known stays unless they refute it."""
+    stays = {"lever_arm_m": known.tolist()} if np.any(known) else {}
+    kept = "; those that were known stay" if stays else ""
+    if isinstance(found, str):
+        return _Verdict(stays, {}, found + kept)
+    chi2, freedom, limit = _beyond_chance(found, np.zeros_like(found.arms))
+    said = f"chi-square {chi2:.1f} of {freedom} degrees of freedom, by chance up to {limit:.1f}"
+    if chi2 > limit:
+        return _Verdict(*_entries(found), f"{said}: written")
+    if stays:
+        from_there = known - meeting_point(axes, known)
+        chi2, _, limit = _beyond_chance(found, from_there)
+        if chi2 > limit:
+            stays, kept = {}, f"; those that were known are not so ({chi2:.1f}) and left out"
+    return _Verdict(stays, {}, f"{said}: not significant, not written{kept}")
+
+
+def _beyond_chance(found: Arms, supposed: Vector) -> tuple[float, int, float]:
+    """Chi-square of the difference from ``supposed`` arms, its degrees of freedom, and what chance reaches.
+
+    The covariance of arms from where the axes meet has as many eigenvalues of nothing as there are shifts.
+    """
+    values, vectors = np.linalg.eigh(found.covariance)
+    told = values > _FAINT * values[-1]
+    along = vectors[:, told].T @ (found.arms - supposed).ravel()
+    freedom = int(told.sum())
+    return float(along @ (along / values[told])), freedom, float(stats.chi2.isf(_CHANCE, freedom))
+
+
+def into_file(found: Arms | str, axes: Vector, known: Vector) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What a calibration says of the arms, and of their sigmas.
+
+    ``found`` from where ``axes`` (n, 3) meet, or why not; ``known`` (n, 3) m before.
+    """
+    verdict = _verdict(found, axes, known)
+    return verdict.arms, verdict.sigmas
+
+
+def coefficient_lines(found: Arms | str, axes: Vector, known: Vector) -> list[str]:
+    """The arms among the coefficients of a calibration, and what is made of them; see `into_file`."""
+    lines = []
+    if isinstance(found, Arms):
+        lines = [
+            f"{f'accel {letter} lever arm {along}':<44} {value:>14.4f} {sigma:>10.2g}  mm"
+            for letter, row, sigmas in zip(_LETTERS, 1e3 * found.arms, 1e3 * found.sigma(), strict=True)
+            for along, value, sigma in zip(_ALONG, row, sigmas, strict=True)
+        ]
+    return [*lines, f"arms of the accelerometers: {_verdict(found, axes, known).why}"]

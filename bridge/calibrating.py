@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import tomli_w
 
-from bridge.arms import coefficient_lines, of_turns
+from bridge.arms import coefficient_lines, into_file, of_turns
 from bridge.calibration import UNITS, Certificate, G, read_calibration
 from bridge.calibration_capture import Recorded, same_unit
 from bridge.calibration_plan import Plan, Site, as_toml
@@ -175,6 +175,11 @@ def _arms(result: Calibrated) -> Arms | str:
         return str(error)
 
 
+def _of_arms(result: Calibrated) -> tuple[Arms | str, Vector, Vector]:
+    """Arms found, the axes that they are of, and arms known before."""
+    return result.arms, result.of("accel").value["axes"], result.recorded[0].arms
+
+
 def _check_temperatures(plan: Plan, intervals: Sequence[Interval]) -> None:
     """Raise Disagreement where a unit was not at the plan's temperature, or did not tell."""
     for step, interval in zip(plan.steps, intervals, strict=True) if plan.soaks else ():
@@ -246,12 +251,8 @@ def document_of(result: Calibrated) -> dict[str, Any]:
             key = f"{name}_{unit}" if unit else name
             document[kind][key] = _plain(value / factor, _DIGITS)
             sigmas[kind][key] = _plain(sigma / factor, 3)
-    known = result.recorded[0].arms
-    if isinstance(result.arms, Arms):
-        for table, values in ((document["accel"], result.arms.arms), (sigmas["accel"], result.arms.sigma())):
-            table["lever_arm_mm"] = [[round(1e3 * x, 6) + 0.0 for x in row] for row in values.tolist()]
-    elif np.any(known):  # not measured here, but known
-        document["accel"]["lever_arm_m"] = known.tolist()
+    for table, entries in zip((document, sigmas), into_file(*_of_arms(result)), strict=True):
+        table["accel"] |= entries
     if result.plan.soaks:
         reference, told = result.plan.reference, [one.temperature for one in result.intervals]
         held = [round(min(*told, reference), 2), round(max(*told, reference), 2)]
@@ -314,7 +315,7 @@ def lines_of(result: Calibrated) -> list[str]:
                 of = f"{kind} {_called(i, len(rows))} {name.replace('_', ' ')}"
                 of += f" {_COLUMNS.get(name, LETTERS)[j]}" if value.ndim > 1 else ""
                 lines.append(f"{of:<44} {rows[i, j]:>14.7g} {sigmas[i, j]:>10.3g}  {unit.replace('_', ' ')}")
-    lines += coefficient_lines(result.arms)
+    lines += coefficient_lines(*_of_arms(result))
     lines += ["", *_table_lines(result), "", *residual_lines(result), "", *weak_lines(result.seen)]
     return lines
 
