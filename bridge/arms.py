@@ -150,12 +150,13 @@ def file_of(found: Found) -> str:
     return tomli_w.dumps(document)
 
 
-def _entries(arms: Arms) -> tuple[dict[str, Any], ...]:
+def _entries(arms: Arms) -> tuple[dict[str, Any], dict[str, Any]]:
     """What a file says of arms, and of their sigmas."""
-    return tuple(
-        {_KEY: [[round(1e3 * x, 6) + 0.0 for x in row] for row in values.tolist()]}
-        for values in (arms.arms, arms.sigma())
-    )
+    return _entry(arms.arms), _entry(arms.sigma())
+
+
+def _entry(values: Vector) -> dict[str, Any]:
+    return {_KEY: [[round(1e3 * x, 6) + 0.0 for x in row] for row in values.tolist()]}
 
 
 def _without_arms(table: dict[str, Any]) -> dict[str, Any]:
