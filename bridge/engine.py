@@ -8,6 +8,7 @@ random number drawn; what a frame can cost is bounded.
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -52,6 +53,7 @@ BACKWARDS_NS: Final = SECOND_NS
 """Stamps of different sockets cross by less; a frame further back than this is turned away."""
 
 _NOTHING: Final[tuple[Output, ...]] = ()
+_NUMBERS: Final = re.compile(r"-?\d+(\.\d+)?")
 _REFUSALS: Final = {"stale": Reject.STALE, "invalid": Reject.INVALID}
 _MEASURES: Final = {
     "gnss_position": "gnss",
@@ -237,9 +239,9 @@ class Engine:
                     self._drivers[event.device].counters.reject(reason)
             case events.Notice():
                 # an alignment that is refused at every sample says so at every sample, each time with
-                # other numbers behind the colon
+                # other numbers; another cause is told at once
                 text = f"{line.name}: {event.text}"
-                stem = text.rpartition(":")[0]
+                stem = _NUMBERS.sub("", text)
                 if self._now >= self._quiet_until.get(stem, 0):
                     self._quiet_until[stem] = self._now + QUIET_NS
                     out.append(Text(self._now, Severity.NOTICE, text))

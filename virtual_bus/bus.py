@@ -21,6 +21,7 @@ from virtual_bus.faults import AnyFault, BusFrame, Faults, Flood
 from virtual_bus.grades import GRADES, PPM, draw_imu
 from virtual_bus.master import Master, master_of
 from virtual_bus.redundancy import AXES
+from virtual_bus.sayings import Sayings
 from virtual_bus.scenario import Scenario
 from virtual_bus.sensors import Barometer, Gnss, GnssErrors, Imu, Odometer, SpeedLog, Warming, generator
 from virtual_bus.tables import DeviceTable
@@ -224,7 +225,8 @@ class Bench:
         if s.master is not None:
             device = self._device("master", s.master, s.master.rate_hz)
             self.master = master_of(s.master, trajectory, noise["master"])
-            streams["master"] = devices.master_frames(device, s.master, self.master)
+            sayings = Sayings(self.master, s.master.age_ms, active)
+            streams["master"] = devices.master_frames(device, s.master, sayings)
         if isinstance(s, Turntable) and s.encoder is not None and isinstance(trajectory, TableTruth):
             encoder = Encoder(trajectory, s.encoder, noise["table"])
             device = self._device("table", s.encoder, s.encoder.rate_hz)

@@ -18,8 +18,8 @@ from dbc.codec import MessageCodec, contract
 from virtual_bus.axes import euler
 from virtual_bus.faults import AliveCounter, BusFrame, Faults, Flood, Reset
 from virtual_bus.grades import PPM
-from virtual_bus.master import Master
 from virtual_bus.redundancy import NO_COUNT, PLACES
+from virtual_bus.sayings import Sayings
 from virtual_bus.sensors import Barometer, Gnss, Imu, Odometer, SpeedLog
 from virtual_bus.tables import DeviceTable, GnssTable, ImuTable, MasterTable, OdometerTable, Start
 
@@ -304,27 +304,28 @@ def gnss_frames(device: Device, table: GnssTable, gnss: Gnss, start: Start) -> I
                 yield BusFrame(send + place * FRAME_NS, table.channel, message.frame_id, data, False)
 
 
-def master_frames(device: Device, table: MasterTable, master: Master) -> Iterator[BusFrame]:
+def master_frames(device: Device, table: MasterTable, sayings: Sayings) -> Iterator[BusFrame]:
     """The frames of every epoch of a master; ten, or eight of one on a platform."""
     names = ("TIME", "LAT", "LON", "HEIGHT", "VEL_H", "VEL_U", "LEVEL", "HEADING", "RATE", "FORCE")
     messages = [contract()[f"MASTER_{name}"] for name in names]
     alive = device.counter(messages[0].alive_modulus)
-    age_ns = round(1e6 * table.age_ms)
     position, velocity, height = table.position_m, table.velocity_m_s, table.height_m
     tilt, turn = (math.degrees(1e-3 * x) for x in (table.tilt_mrad, table.heading_mrad))
     for block in device.blocks():
         if block.fresh:
             alive.restart()
-        said = master.block(block.t_ns[1:] - age_ns)
+        said, valid, silent, ahead_ns = sayings.at(block.t_ns[1:])
+        device_us = ((block.device_ns[1:] + ahead_ns) // US).tolist()
         heading, pitch, roll = (np.degrees(x).tolist() for x in euler(said.C_ga))
         lat, lon = np.degrees(said.lat).tolist(), np.degrees(said.lon).tolist()
         v_g, rate, force = said.v_g.tolist(), np.degrees(said.w_ia_a).tolist(), said.f_a.tolist()
         times = zip(block.t_ns[1:].tolist(), block.send_ns.tolist(), strict=True)
         for k, (t, send) in enumerate(times):
-            us = int(block.device_ns[k + 1]) // US
+            if silent[k]:
+                continue
             east, north, up = v_g[k]
             rows: list[tuple[float, ...]] = [
-                (1, 1, not table.platform, us & 0xFFFF_FFFF_FFFF),
+                (valid[k], 1, not table.platform, device_us[k] & 0xFFFF_FFFF_FFFF),
                 (lat[k], min(position, MASTER_SIGMA_M)),
                 (lon[k], min(position, MASTER_SIGMA_M)),
                 (float(said.height[k]), min(height, MASTER_SIGMA_UP_M)),

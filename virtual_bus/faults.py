@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from typing import Annotated, Literal, NamedTuple, TypeVar
+from typing import Annotated, ClassVar, Literal, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -110,20 +110,26 @@ class Flood(Fault, tag="flood", kw_only=True):
     rate_hz: float
 
 
-class GnssOutage(Fault, tag="gnss_outage", kw_only=True):
+class GnssFault(Fault, kw_only=True):
+    """A fault of what the receiver says."""
+
+    device: ClassVar = "gnss"
+
+
+class GnssOutage(GnssFault, tag="gnss_outage", kw_only=True):
     """The receiver says that it has no fix; with ``silent`` it says nothing."""
 
     silent: bool = False
 
 
-class GnssOutlier(Fault, tag="gnss_outlier", kw_only=True):
+class GnssOutlier(GnssFault, tag="gnss_outlier", kw_only=True):
     """Fixes are off by ``size_m`` in a random horizontal direction, each with ``probability``."""
 
     size_m: float
     probability: float = 1.0
 
 
-class GnssJump(Fault, tag="gnss_jump", kw_only=True):
+class GnssJump(GnssFault, tag="gnss_jump", kw_only=True):
     """All fixes are displaced by the same vector."""
 
     east_m: float = 0.0
@@ -134,7 +140,36 @@ class GnssJump(Fault, tag="gnss_jump", kw_only=True):
 class WheelSlip(Fault, tag="wheel_slip", kw_only=True):
     """The wheel turns ``factor`` times as far as the vehicle moves (0: it is locked)."""
 
+    device: ClassVar = "odometer"
     factor: float
+
+
+class MasterFault(Fault, kw_only=True):
+    """A fault of what the master says; its frames are whole, and its counters go on."""
+
+    device: ClassVar = "master"
+
+
+class MasterOutage(MasterFault, tag="master_outage", kw_only=True):
+    """The master says that it is not valid; with ``silent`` it says nothing."""
+
+    silent: bool = False
+
+
+class MasterFrozen(MasterFault, tag="master_frozen", kw_only=True):
+    """It says the same again and again, with new times."""
+
+
+class MasterTimeJump(MasterFault, tag="master_time_jump", kw_only=True):
+    """Its clock is ``ahead_ms`` ahead of what it was, negative: behind."""
+
+    ahead_ms: float
+
+
+class MasterLatency(MasterFault, tag="master_latency", kw_only=True):
+    """What it says is ``late_ms`` older than it tells."""
+
+    late_ms: Annotated[float, Meta(ge=0.0)]
 
 
 class SensorFault(Fault, kw_only=True):
@@ -193,6 +228,10 @@ AnyFault = (
     | GnssOutlier
     | GnssJump
     | WheelSlip
+    | MasterOutage
+    | MasterFrozen
+    | MasterTimeJump
+    | MasterLatency
     | SensorBias
     | SensorStuck
     | SensorDead

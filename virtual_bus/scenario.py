@@ -226,10 +226,14 @@ def _check(file: str, scenario: Scenario) -> None:
     devices = scenario.devices()
     for place, fault in enumerate(scenario.fault):
         device = getattr(fault, "device", None)
-        if device is not None and device not in devices:
-            raise ScenarioError(
-                f'{file}: fault[{place}].device: found "{device}", expected one of {", ".join(devices)}'
-            )
+        if device is None or device in devices:
+            continue
+        if "device" not in fault.__struct_fields__:
+            kind = fault.__struct_config__.tag
+            raise ScenarioError(f'{file}: fault[{place}].kind: found "{kind}", expected [{device}] with it')
+        raise ScenarioError(
+            f'{file}: fault[{place}].device: found "{device}", expected one of {", ".join(devices)}'
+        )
     _check_sensors(file, scenario)
     if scenario.navigator.whole_cycle is not None and scenario.imu.dither_hz is None:
         found = scenario.navigator.whole_cycle
