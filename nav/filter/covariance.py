@@ -36,8 +36,11 @@ def predict_readable(P: Matrix, F: Matrix, q: Vector, dt: float) -> Matrix:
 
 
 @in_place
-def _nav_block(w: Vector, mid: Vector, dt: float) -> None:
-    """Put F dt of position, velocity and phi into ``w``, but for its zeros; see `nav.errors.model`."""
+def nav_block(w: Vector, place: int, mid: Vector, dt: float) -> None:
+    """Put F dt of position, velocity and phi, 9 rows of 9, at ``place`` into ``w``, but for its zeros.
+
+    ``mid`` is the strapdown kernel's record; see `nav.errors.model`.
+    """
     kxx, kxy, kyy = mid[M_K] * dt, mid[M_K + 1] * dt, mid[M_K + 2] * dt
     mean = 0.5 * (kxx + kyy)
     ix, iy, iz = mid[M_IE], mid[M_IE + 1], mid[M_IE + 2]
@@ -45,7 +48,7 @@ def _nav_block(w: Vector, mid: Vector, dt: float) -> None:
     vx, vy, vz = mid[M_V], mid[M_V + 1], mid[M_V + 2]
     turn = tz * dt
     fx, fy, fz = mid[M_F] * dt, mid[M_F + 1] * dt, mid[M_F + 2] * dt
-    x, y, z = _PHI, _PHI + 9, _PHI + 18  # rows of position
+    x, y, z = place, place + 9, place + 18  # rows of position
     w[x], w[x + 1], w[x + 2], w[x + 3] = mean * vz, turn, -mean * vx, dt
     w[y], w[y + 1], w[y + 2], w[y + 4] = -turn, mean * vz, -mean * vy, dt
     w[z + 5] = dt
@@ -57,7 +60,7 @@ def _nav_block(w: Vector, mid: Vector, dt: float) -> None:
     a02, a12 = -mean * tx, -mean * ty
     a20, a21 = i20 + tx * kxx + ty * kxy, i21 + tx * kxy + ty * kyy
     wx, wy, wz = (ix + tx) * dt, (iy + ty) * dt, (iz + tz) * dt
-    x, y, z = _PHI + 54, _PHI + 63, _PHI + 72  # rows of phi
+    x, y, z = place + 54, place + 63, place + 72  # rows of phi
     w[x], w[x + 1], w[x + 2], w[x + 3], w[x + 4] = i00, i01, a02, -kxy, -kyy
     w[y], w[y + 1], w[y + 2], w[y + 3], w[y + 4] = i10, i11, a12, kxx, kxy
     w[z], w[z + 1] = a20, a21
@@ -69,7 +72,7 @@ def _nav_block(w: Vector, mid: Vector, dt: float) -> None:
     g00, g01 = 2.0 * i00, 2.0 * i01
     g10, g11 = 2.0 * i10, 2.0 * i11
     g20, g21 = i20 + a20, i21 + a21
-    x, y, z = _PHI + 27, _PHI + 36, _PHI + 45  # rows of velocity
+    x, y, z = place + 27, place + 36, place + 45  # rows of velocity
     w[x], w[x + 1], w[x + 2] = vy * g20 - vz * g10, vy * g21 - vz * g11, -vz * a12
     w[y], w[y + 1], w[y + 2] = vz * g00 - vx * g20, vz * g01 - vx * g21, vz * a02
     w[z], w[z + 1] = vx * g10 - vy * g00, vx * g11 - vy * g01
@@ -205,7 +208,7 @@ def predict(
     `predict_readable`.
     """
     n = P.shape[0]
-    _nav_block(w, mid, dt)
+    nav_block(w, _PHI, mid, dt)
     # one compiled form for each size
     if n == BASIC:
         _through(P, x, mid, dt, w, BASIC)

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.align.types import AlignConfig
-from nav.transfer.matching import Matching, Use, Uses
+from nav.transfer.correction import Use
+from nav.transfer.matching import Matching, Uses
 from nav.transfer.stage import Transfer
 from nav.transfer.states import MOUNTING, SIZE
 from nav.types import ImuSample, MasterState

@@ -10,20 +10,18 @@ from numpy.typing import NDArray
 from nav.filter.motion import times, undo_axes
 from nav.jit import kernel
 from nav.strapdown.control import U_SIZE
-from nav.strapdown.kernels import M_C, M_F, M_SIZE, M_V, increments, strapdown
+from nav.strapdown.kernels import M_SIZE, increments, strapdown
 from nav.transfer.states import X_ERRORS, X_REST
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 # What `run` adds up, each times its interval.
-S_DT: Final = 0  # s
-S_C: Final = 1  # C_nb by rows, 9
-S_F: Final = 10  # specific force in n, 3
-S_V: Final = 13  # velocity in n, 3
-S_WB: Final = 16  # rate of b, corrected, 3
-S_FB: Final = 19  # specific force in b, corrected, 3
-S_SIZE: Final = 22
+S_MID: Final = 0  # the strapdown kernel's record of it
+S_WB: Final = M_SIZE  # rate of b, corrected, 3
+S_FB: Final = S_WB + 3  # specific force in b, corrected, 3
+S_DT: Final = S_FB + 3  # s
+S_SIZE: Final = S_DT + 1
 
 _GYRO: Final = X_ERRORS + 6
 _ACCEL: Final = X_ERRORS + 15
@@ -65,10 +63,8 @@ def run(x: Vector, rows: Matrix, first: int, begin: float, last: int, end: float
         increments(d, 1, inc)
         strapdown(x, inc, dt, u, mid)
         sums[S_DT] += dt
-        for k in range(9):
-            sums[S_C + k] += mid[M_C + k] * dt
+        for k in range(M_SIZE):
+            sums[S_MID + k] += mid[k] * dt
         for k in range(3):
-            sums[S_F + k] += mid[M_F + k] * dt
-            sums[S_V + k] += mid[M_V + k] * dt
             sums[S_WB + k] += d[k]
             sums[S_FB + k] += d[3 + k]

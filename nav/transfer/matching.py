@@ -10,13 +10,12 @@ channel would run away otherwise.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nav.transfer.model import Rows
+from nav.transfer.correction import Use
 from nav.transfer.states import (
     ACCEL_AXES,
     ACCEL_BIAS,
@@ -33,15 +32,6 @@ from nav.transfer.states import (
 )
 
 Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
-
-
-class Use(IntEnum):
-    """What is done with a row."""
-
-    NOT = 0
-    MATCH = 1
-    COPY = 2
 
 
 _NOT: Final = (Use.NOT,) * 3
@@ -165,31 +155,3 @@ RATE: Final = Matching(
     level="heading wiggle",
     heading="wing rock",
 )
-
-
-def gain(P: Matrix, rows: Rows, uses: Uses, own: slice, mask: Vector) -> tuple[Vector, Matrix, Matrix]:
-    """Gain K (SIZE, m) of the rows in use, their H (m, SIZE) and S (m, m).
-
-    ``own``: the states that the rows stand for, which are set where a row is copied. Matched rows
-    correct the states of ``mask`` by the gain that is best for them.
-    """
-    used = [j for j in range(3) if uses[j] is not Use.NOT]
-    H, R = rows.H[used], rows.R[np.ix_(used, used)]
-    W = P @ H.T
-    S = H @ W + R
-    K = np.zeros((SIZE, len(used)))
-    matched = [i for i, j in enumerate(used) if uses[j] is Use.MATCH]
-    if matched:
-        K[:, matched] = np.linalg.solve(S[np.ix_(matched, matched)], W[:, matched].T).T * mask[:, None]
-    for i, j in enumerate(used):
-        if uses[j] is Use.COPY:
-            # rows are the state itself, misalignment with the other sign
-            K[own.start + j, i] = H[i, own.start + j]
-    return K, H, S
-
-
-def updated(P: Matrix, K: Matrix, H: Matrix, S: Matrix) -> Matrix:
-    """Covariance (SIZE, SIZE) after a correction by any gain. Groves, 2nd ed., eq. (3.58) multiplied out."""
-    W = P @ H.T
-    U = (W - 0.5 * K @ S) @ K.T
-    return np.asarray(P - U - U.T)

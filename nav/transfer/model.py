@@ -1,6 +1,5 @@
-"""The error model of transfer alignment: how errors grow, and what messages of the master show of them.
+"""The error model of transfer alignment: what is known at first, and what messages of the master show.
 
-Readable NumPy throughout, as it runs at the master's rate. Navigation errors are those of `nav.errors.model`.
 The textbook chapter "Inertial navigation", section 2.5.3, compares Euler angles, eqs. (2-169) to (2-174);
 here the rotation vector between the two attitudes is compared, the same to first order (``T_b lambda - phi``)
 and regular everywhere. The slave sits at the end of an arm that turns with it, so that its own gyros tell
@@ -16,13 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.align.types import AlignConfig, TransferConfig
-from nav.earth import EARTH_RATE, curvature, ecef, position_matrix
-from nav.errors.model import error_dynamics
-from nav.filter import states as house
+from nav.earth import EARTH_RATE, ecef, position_matrix
 from nav.rotation import cross, dcm_from_quat, quat_from_dcm, quat_from_rotvec, rotvec_from_quat, skew
 from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
-from nav.strapdown.mechanize import frame_rates
-from nav.transfer.kernels import S_C, S_DT, S_FB, S_V, S_WB
+from nav.transfer.covariance import MARKOV
 from nav.transfer.states import (
     ACCEL_BIAS,
     DELAY,
@@ -38,16 +34,12 @@ from nav.transfer.states import (
     SIZE,
     VELOCITY,
     X_ERRORS,
-    X_REST,
 )
 from nav.types import MasterState
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-MARKOV: Final = 2.146
-"""Natural rate of a second-order Markov process times its correlation time (where 1/e is left of it)."""
-_KEPT: Final = np.array([k for k in range(house.FULL) if not 15 <= k < house.BASIC])
 CURVED: Final = 0.03
 """Of what the delay's uncertainty does to a row: more that is no straight line makes it useless."""
 CHANGE_S: Final = 0.02
@@ -96,86 +88,6 @@ def initial_covariance(config: AlignConfig, transfer: TransferConfig) -> Matrix:
     return np.diag(d**2)
 
 
-def dynamics(x: Vector, sums: Vector) -> Matrix:
-    """F (MOVED, MOUNTING.start) over an interval: rates of position, velocity and phi per error.
-
-    ``x`` (X_SIZE,) the nominal state at its end, ``sums`` (S_SIZE,) of `nav.transfer.kernels.run` over it.
-    """
-    mean = sums / sums[S_DT]
-    pole, height = x[X_C + 6 : X_C + 9], float(x[X_H])
-    v = mean[S_V : S_V + 3]
-    frame = frame_rates(pole, height, v)
-    k = curvature(pole[0], pole[1], pole[2], height)
-    gradient = -2.0 * frame.gravity_n[2] * math.sqrt(k[0] * k[2] - k[1] ** 2)
-    F = error_dynamics(
-        mean[S_C : S_C + 9].reshape(3, 3),
-        mean[S_FB : S_FB + 3],
-        mean[S_WB : S_WB + 3],
-        v,
-        frame.w_ie_n,
-        frame.w_en_n,
-        k,
-        gradient,
-        x[X_REST : X_REST + 3],
-    )
-    return np.ascontiguousarray(F[:MOVED, _KEPT])
-
-
-def bend(transfer: TransferConfig, dt: float) -> tuple[Matrix, Matrix]:
-    """Transition and noise (6, 6) of flexure and its rate over ``dt`` seconds.
-
-    Exact for ``theta'' = -beta^2 theta - 2 beta theta' + w``, beta = `MARKOV` / correlation time.
-    """
-    A, Q = np.eye(6), np.zeros((6, 6))
-    if transfer.flexure is None:
-        return A, Q
-    beta = MARKOV / transfer.flexure_time
-    e = np.exp(-beta * dt)
-    i = np.arange(3)
-    A[i, i], A[i, i + 3] = e * (1.0 + beta * dt), e * dt
-    A[i + 3, i], A[i + 3, i + 3] = -e * beta**2 * dt, e * (1.0 - beta * dt)
-    steady = np.diag(np.concatenate([transfer.flexure, transfer.flexure * beta]) ** 2)
-    return A, steady - A @ steady @ A.T
-
-
-def predict(P: Matrix, F: Matrix, dt: float, config: AlignConfig, transfer: TransferConfig) -> Matrix:
-    """Covariance (SIZE, SIZE) after ``dt`` seconds with the ``F`` of `dynamics`.
-
-    Transition to second order; noise by the trapezoid, so that what turns within the interval moves as well.
-    """
-    n = MOUNTING.start
-    A = F * dt
-    A += 0.5 * A[:, :MOVED] @ A
-    A[:, :MOVED] += np.eye(MOVED)
-    q = np.zeros(MOVED)
-    q[VELOCITY], q[PHI] = config.velocity_random_walk**2, config.angle_random_walk**2
-    # relative to the master, whose vertical channel is not the free one of the equations
-    q[VELOCITY.stop - 1] += transfer.vertical_walk**2
-    P = P.copy()
-    B, Q = bend(transfer, dt)
-    f = slice(FLEXURE.start, FLEXURE_RATE.stop)
-    P[f] = B @ P[f]
-    P[:, f] = P[:, f] @ B.T
-    P[f, f] += Q
-    rows = A @ P[:n]
-    P[:MOVED, MOVED:] = rows[:, MOVED:]
-    P[MOVED:, :MOVED] = rows[:, MOVED:].T
-    head = rows[:, :n] @ A.T
-    N = A[:, :MOVED]
-    head += 0.5 * dt * (np.diag(q) + (N * q) @ N.T)
-    P[:MOVED, :MOVED] = 0.5 * (head + head.T)
-    i = np.arange(3)
-    P[9 + i, 9 + i] += config.gyro_walk**2 * dt
-    P[12 + i, 12 + i] += config.accel_walk**2 * dt
-    return P
-
-
-def bent(x: Vector, transfer: TransferConfig, dt: float) -> None:
-    """Let the nominal flexure in ``x`` decay over ``dt`` seconds, in place."""
-    f = place(slice(FLEXURE.start, FLEXURE_RATE.stop))
-    x[f] = bend(transfer, dt)[0] @ x[f]
-
-
 def azimuth(x: Vector, lat: float, lon: float) -> Matrix:
     """C_ng (3, 3): turn of n about the vertical from east-north-up at ``lat``, ``lon`` (rad)."""
     M = x[X_C : X_C + 9].reshape(3, 3).T @ position_matrix(lat, lon)
@@ -188,12 +100,14 @@ class Rows(NamedTuple):
     """Rows in n (rates: in b): ``r`` (3,) computed minus measured, ``H`` (3, SIZE), ``R`` (3, 3).
 
     Not ``straight``: they depend on the delay by no straight line over what is known of it, and are useless.
+    Only ``share`` of the gain that they have for the delay is used.
     """
 
     r: Vector
     H: Matrix
     R: Matrix
     straight: bool = True
+    share: float = 1.0
 
 
 class Line(NamedTuple):
@@ -207,16 +121,16 @@ class Line(NamedTuple):
 
         ``own``: sigma an axis of the slope by what the slave alone does: it bends, vibrates, its gyros are
         noisy. A slope that may be nothing else tells no delay, and to take it for one would find a wrong one
-        ever more surely; then what the delay may do is noise of the row.
+        ever more surely; then the delay is considered, but not corrected by the row. It is no noise of the
+        row: that would fade over messages, and a delay is the same in all of them.
         """
         size = float(self.slope @ self.slope)
         share = max(0.0, 1.0 - CHANCE * own**2 / size) if size > 0.0 else 0.0
-        H[:, DELAY] = -share * self.slope
+        H[:, DELAY] = -self.slope
         bend = math.sqrt(2.0) / 3.0 * float(np.linalg.norm(self.bend))
         straight = bend < max(sigma, CURVED * spread * float(np.linalg.norm(self.slope)))
         R = _EYE * sigma**2 + 2.0 / 9.0 * np.outer(self.bend, self.bend)
-        R += (1.0 - share**2) * spread**2 / 3.0 * np.outer(self.slope, self.slope)
-        return Rows(r - self.bend / 3.0, H, R, straight)
+        return Rows(r - self.bend / 3.0, H, R, straight, share)
 
 
 def line(before: Vector, after: Vector, spread: float) -> Line:

@@ -15,17 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.align.types import AlignConfig, TransferConfig
-from nav.strapdown.kernels import X_V
+from nav.transfer.covariance import SEGMENT_NS, advance, noise
 from nav.transfer.kernels import S_DT, S_FB, S_SIZE, run
-from nav.transfer.model import CHANGE_S, Instant, bent, dynamics, place, predict
+from nav.transfer.model import CHANGE_S, Instant, place
 from nav.transfer.states import DELAY, GYRO_AXES, GYRO_BIAS
 from nav.types import ImuSample
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-SEGMENT_NS: Final = 25_000_000
-"""Longest step of the covariance: attitude turns little in it."""
 RATE_S: Final = 0.005  # over which the rate at an instant is taken
 SPREAD: Final = 3.0**0.5  # sigmas of the delay that a message's time may be off by
 _MARGIN_NS: Final = 150_000_000  # kept behind the anchor for that
@@ -48,6 +46,7 @@ class Slave:
         self._sums = np.zeros(S_SIZE)
         self._live_sums = np.zeros(S_SIZE)
         self._a_n = np.zeros(3)
+        self._noise = noise(config, transfer)
 
     @property
     def newest_ns(self) -> int:
@@ -112,19 +111,21 @@ class Slave:
 
     def advance(self, t_ns: int) -> None:
         """Bring state and covariance to ``t_ns``, between the anchor and the newest sample."""
-        while self.anchor_ns < t_ns:
-            goal = min(t_ns, self.anchor_ns + SEGMENT_NS)
-            k, share = self._find(goal)
-            sums, v = self._sums, self.x[X_V : X_V + 3].copy()
-            sums[:] = 0.0
-            run(self.x, self._rows, self._index, self._share, k, share, sums)
-            self._index, self._share, self.anchor_ns = k, share, goal
-            dt = float(sums[S_DT])
-            if dt <= 0.0:
-                continue
-            self._a_n = (self.x[X_V : X_V + 3] - v) / dt
-            bent(self.x, self._transfer, dt)
-            self.P = predict(self.P, dynamics(self.x, sums), dt, self._config, self._transfer)
+        if t_ns > self.anchor_ns:
+            self._index, self._share = advance(
+                self.x,
+                self.P,
+                self._t,
+                self._rows,
+                self._index,
+                self._share,
+                self.anchor_ns,
+                t_ns,
+                self._noise,
+                self._sums,
+                self._a_n,
+            )
+            self.anchor_ns = t_ns
 
     def run_on(self) -> None:
         """Make the live state anew, from the anchor."""
@@ -174,8 +175,8 @@ class Slave:
             turns[i] = self._turned(min(t_ns, there), max(t_ns, there))
             reach = min(half, self.newest_ns - there) if sign > 0 else half
             rates[i] = (rate(there, reach) if reach > 0 else w) - w
-        noise = self._config.angle_random_walk / math.sqrt(2e-9 * half)
-        return Instant(w, dw, self._a_n, noise, spread, turns, rates)
+        sigma_w = self._config.angle_random_walk / math.sqrt(2e-9 * half)
+        return Instant(w, dw, self._a_n, sigma_w, spread, turns, rates)
 
     def _turned(self, first_ns: int, last_ns: int) -> Vector:
         """Angle (3,), rad in b, corrected, turned between two times that are covered."""

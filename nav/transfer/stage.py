@@ -17,7 +17,8 @@ from nav.filter.kalman import GATES
 from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
 from nav.strapdown.mechanize import moved
 from nav.transfer import model
-from nav.transfer.matching import Matching, Use, gain, updated
+from nav.transfer.correction import Use, take, weigh
+from nav.transfer.matching import Matching
 from nav.transfer.report import Report, ratios, report
 from nav.transfer.slave import Slave
 from nav.transfer.states import (
@@ -45,6 +46,8 @@ AHEAD_NS: Final = 100_000_000
 CALM: Final = 1.0  # m/s^2 of the arm's swing up to which master and slave feel the same
 _MISSING_NS: Final = 100_000_000  # of inertial samples: a longer silence is no alignment any more
 _UNKNOWN: Final = np.eye(3) * math.pi**2
+_ALL: Final = np.full(3, Use.COPY, dtype=np.int64)
+_CAUSES: Final = np.array(CAUSES)
 _UNUSABLE: Final = int(ImuFlag.SATURATED)
 
 
@@ -56,6 +59,16 @@ class Transfer:
         self.transfer = config.transfer or TransferConfig()
         self.matching = matching
         self.mask = matching.mask
+        self.kinds = tuple(
+            (kind, np.array(uses, dtype=np.int64), own, make)
+            for kind, uses, own, make in (
+                ("position", matching.position, POSITION, model.position_rows),
+                ("velocity", matching.velocity, VELOCITY, model.velocity_rows),
+                ("attitude", matching.attitude, PHI, model.attitude_rows),
+                ("rate", matching.rate, PHI, model.rate_rows),
+            )
+            if any(uses)
+        )
         self.slave = Slave(config, self.transfer)
         self.watch = Watch(self.transfer.lockout, matching.white)
         self.pending: deque[MasterState] = deque()
@@ -130,9 +143,12 @@ class Transfer:
             (model.velocity_rows(scene), VELOCITY),
             (model.position_rows(scene), POSITION),
         ):
-            K, H, S = gain(P, rows, (Use.COPY,) * 3, own, self.mask)
-            correct(x, K @ rows.r)
-            P = updated(P, K, H, S)
+            dx = np.zeros(SIZE)
+            K, W, S, r, _ = weigh(
+                P, rows.H, rows.r, rows.R, _ALL, own.start, self.mask, rows.share, dx, _CAUSES
+            )
+            take(P, dx, K, W, S, r)
+            correct(x, dx)
         slave.P = P
         slave.run_on()
         self.start_ns = m.t_ns
@@ -140,32 +156,22 @@ class Transfer:
 
     def _compare(self, m: MasterState, t_ns: int) -> None:
         """Compare a message with the slave at its time, and correct."""
-        slave, matching = self.slave, self.matching
+        slave = self.slave
         before = slave.x[X_Q : X_Q + 4].copy()
         slave.advance(t_ns)
         dx = np.zeros(SIZE)
         scene = model.scene(slave.x, slave.instant(t_ns), m, self.transfer)
         self._moved(scene, before)
-        for kind, uses, own, make in (
-            ("position", matching.position, POSITION, model.position_rows),
-            ("velocity", matching.velocity, VELOCITY, model.velocity_rows),
-            ("attitude", matching.attitude, PHI, model.attitude_rows),
-            ("rate", matching.rate, PHI, model.rate_rows),
-        ):
-            used = [j for j in range(3) if uses[j] is not Use.NOT]
-            if not used:
-                continue
+        for kind, uses, own, make in self.kinds:
             rows = make(scene)
             if not rows.straight:
                 continue
-            K, H, S = gain(slave.P, rows, uses, own, self.mask)
-            # linear in what the rows before have found
-            r = rows.r[used] - H @ dx
-            whitened = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([r, H[:, CAUSES]]))
-            passed = float(whitened[:, 0] @ whitened[:, 0]) <= GATES[len(used)]
+            K, W, S, r, whitened = weigh(
+                slave.P, rows.H, rows.r, rows.R, uses, own.start, self.mask, rows.share, dx, _CAUSES
+            )
+            passed = float(whitened[:, 0] @ whitened[:, 0]) <= GATES[len(r)]
             if self.watch.see(kind, t_ns, passed, whitened) and passed:
-                dx += K @ r
-                slave.P = updated(slave.P, K, H, S)
+                take(slave.P, dx, K, W, S, r)
         correct(slave.x, dx)
         slave.run_on()
 

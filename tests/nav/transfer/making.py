@@ -16,7 +16,10 @@ import numpy as np
 from nav import earth
 from nav import rotation as rot
 from nav.align.types import AlignConfig, TransferConfig, advance, begin, result
+from nav.errors.model import error_dynamics
+from nav.filter import states as house
 from nav.transfer import alignment
+from nav.transfer.states import SIZE
 from nav.types import ImuSample, MasterState
 
 T0_NS = 10**12
@@ -247,6 +250,15 @@ def errors(flight, init):
     dp = C_ge @ (flight.r_e[i] - earth.ecef(init.lat, init.lon, init.height))
     phi = rot.rotvec_from_quat(rot.quat_multiply(flight.q_gb[i], rot.quat_conjugate(init.q_gb)))
     return np.concatenate([dp, flight.v_g[i] - init.v_g, phi])
+
+
+def dynamics(C_nb, f_b, w_b, v_n, frame, k, rest):
+    """F (SIZE, SIZE) of all states but flexure by the readable error model; ``k`` is the curvature."""
+    F, kept = np.zeros((SIZE, SIZE)), [k for k in range(house.FULL) if not 15 <= k < house.BASIC]
+    gradient = -2.0 * frame.gravity_n[2] * np.sqrt(k[0] * k[2] - k[1] ** 2)
+    whole = error_dynamics(C_nb, f_b, w_b, v_n, frame.w_ie_n, frame.w_en_n, k, gradient, rest)
+    F[: len(kept), : len(kept)] = whole[np.ix_(kept, kept)]
+    return F
 
 
 def config(s, **changes):

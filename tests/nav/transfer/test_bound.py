@@ -9,14 +9,15 @@ import pytest
 
 from nav import rotation as rot
 from nav.align.types import TransferConfig
+from nav.earth import curvature
+from nav.strapdown.mechanize import frame_rates
 from nav.transfer import matching, model
 from nav.transfer.bound import bound, whole
-from nav.transfer.kernels import S_C, S_DT, S_FB, S_SIZE, S_V, S_WB
 from nav.transfer.model import Instant
 from nav.transfer.stage import Transfer
-from nav.transfer.states import ACCEL_BIAS, GYRO_BIAS, MOUNTING, MOVED, PHI, SIZE, VELOCITY, X_REST, X_SIZE
+from nav.transfer.states import ACCEL_BIAS, GYRO_BIAS, MOUNTING, PHI, SIZE, VELOCITY, X_REST, X_SIZE
 from nav.types import MasterState
-from tests.nav.transfer.making import Set, config, fly, s_turns, straight
+from tests.nav.transfer.making import Set, config, dynamics, fly, s_turns, straight
 
 
 def ideal(s):
@@ -94,13 +95,9 @@ def observed(which, attitudes):
         x[0:4], x[4:7], x[16] = q, (60.0, 190.0, 0.0), 3000.0
         x[7:16] = model.position_matrix(0.6, 0.3).ravel()
         x[X_REST : X_REST + 3] = C.T @ [0.0, 0.0, 9.8]
-        sums = np.zeros(S_SIZE)
-        sums[S_DT] = 1.0
-        sums[S_C : S_C + 9], sums[S_V : S_V + 3] = C.ravel(), x[4:7]
-        sums[S_FB : S_FB + 3] = C.T @ [0.0, 0.0, 9.8]
-        sums[S_WB : S_WB + 3] = 0.0
-        F = np.zeros((SIZE, SIZE))
-        F[:MOVED, : MOUNTING.start] = model.dynamics(x, sums)
+        frame = frame_rates(x[13:16], 3000.0, x[4:7])
+        k = curvature(*x[13:16].tolist(), 3000.0)
+        F = dynamics(C, C.T @ [0.0, 0.0, 9.8], np.zeros(3), x[4:7], frame, k, x[X_REST : X_REST + 3])
         still = Instant(np.zeros(3), np.zeros(3), np.zeros(3), 0.0, 0.0, np.zeros((2, 3)), np.zeros((2, 3)))
         m = MasterState(0, 0.6, 0.3, 3000.0, x[4:7], q, None, None, *(np.ones(3),) * 3, True, "")
         scene = model.scene(x, still, m, transfer)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nav import rotation as rot
-from nav.align.types import AlignConfig, TransferConfig
+from nav.align.types import TransferConfig
 from nav.earth import position_matrix
 from nav.strapdown.mechanize import NavState, update
 from nav.transfer import model
@@ -19,10 +19,7 @@ from nav.transfer.states import (
     DELAY,
     GYRO_AXES,
     GYRO_BIAS,
-    MOUNTING,
-    MOVED,
     SIZE,
-    VELOCITY,
     X_REST,
     X_SIZE,
 )
@@ -111,23 +108,3 @@ def test_rows_are_the_derivatives_of_the_residuals(make) -> None:
         difference = (rows(-step).r - rows(step).r) / 2e-4
         # rows hold to first order in the residual's own angles, of some mrad
         assert difference == pytest.approx(H[:, k], abs=0.02 * max(1.0, float(np.abs(H[:, k]).max()))), k
-
-
-def test_flexure_is_stationary() -> None:
-    """Its exact step leaves the steady covariance as it is, and half steps make whole ones."""
-    transfer = TransferConfig(flexure=np.array([1e-3, 2e-3, 3e-4]), flexure_time=np.array([0.3, 0.5, 1.0]))
-    A, Q = model.bend(transfer, 0.2)
-    half, half_Q = model.bend(transfer, 0.1)
-    assert half @ half == pytest.approx(A, abs=1e-12)
-    assert half @ half_Q @ half.T + half_Q == pytest.approx(Q, abs=1e-15)
-
-
-def test_the_masters_vertical_velocity_walks() -> None:
-    """By nothing else than its variance over time, where no error moves another: 0.01^2 x 4 s."""
-    config, walk = AlignConfig(1e-5, 1e-2, 1e-5, 1e-3), 0.01
-    F, P = np.zeros((MOVED, MOUNTING.start)), np.zeros((SIZE, SIZE))
-    still = model.predict(P, F, 4.0, config, TransferConfig())
-    walked = model.predict(P, F, 4.0, config, TransferConfig(vertical_walk=walk))
-    expected = np.zeros((SIZE, SIZE))
-    expected[VELOCITY.stop - 1, VELOCITY.stop - 1] = walk**2 * 4.0
-    assert walked - still == pytest.approx(expected, abs=1e-15)
