@@ -26,7 +26,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nav.align.static import fine_status, go_on, nav_init, standing_at
-from nav.align.still import PUSHED, Block, Lean, Standing, contradiction, standing
+from nav.align.still import PUSHED, Block, Lean, Standing, angle_walk, contradiction, standing
 from nav.align.types import AlignConfig, NavInit, Stage
 from nav.earth import earth_rate_g, gravity_g, normal_gravity
 from nav.errors.psi import alignment_dynamics
@@ -116,7 +116,9 @@ def _update(state: Standing[Filter], block: Block, model: Model) -> tuple[Standi
     kalman.P = own.P[part]
     kalman.F = _transition(F[part], dt)
     # trapezoid over the interval: the tilt that walks within it moves the velocity
-    q = np.diag(_noise(config)[keep])
+    # a coarse stage that hands no line on has counted what it shows into the covariance
+    walk = config.angle_random_walk**2 if given.line is None else angle_walk(state.still, config)
+    q = np.diag(_noise(config, walk)[keep])
     kalman.Q = 0.5 * dt * (q + kalman.F @ q @ kalman.F.T)
     kalman.predict()
     if model.closed:
@@ -154,10 +156,10 @@ def _dynamics(lat: float, height: float) -> Vector:
     return alignment_dynamics(lat, normal_gravity(math.sin(lat), height), vertical=True)
 
 
-def _noise(config: AlignConfig) -> Vector:
-    """Spectral densities (12,) of the states' white noise."""
+def _noise(config: AlignConfig, walk: float) -> Vector:
+    """Spectral densities (12,) of the states' white noise, that of phi being ``walk`` rad^2/s."""
     q = np.zeros(12)
-    q[_VEL], q[_PHI] = config.velocity_random_walk**2, config.angle_random_walk**2
+    q[_VEL], q[_PHI] = config.velocity_random_walk**2, walk
     return q
 
 

@@ -69,7 +69,8 @@ def _work(state: Standing[Large], block: Block) -> tuple[Standing[Large], str | 
         bank = start(place, C, TILT, noise, own.points)
     else:
         turn = rotvec_from_quat(quat_from_dcm(block.rotation))
-        bank, innovation, S = step(own.bank, turn, block.dv, dt)
+        noise = own.bank.noise._replace(angle=math.sqrt(watch.angle_walk(state.still, config)))
+        bank, innovation, S = step(own.bank._replace(noise=noise), turn, block.dv, dt)
         leaning, reason = contradiction(own.lean, innovation, S, PUSHED, "m/s")
         own = own._replace(lean=leaning)
     state = state._replace(own=own._replace(bank=bank))
@@ -128,7 +129,7 @@ def _finish(state: Standing[Large]) -> NavInit:
     x = np.concatenate([_ZERO, _ZERO, found.drift, _ZERO])
     P = _covariance(config, bank, found)
     given = nav_init(config, still.t_ns, place, sigma_of_place(config, still), found.C, x, P, True)
-    return replace(given, v_g=np.array([*found.velocity, 0.0]))
+    return replace(given, v_g=np.array([*found.velocity, 0.0]), line=still.line)
 
 
 LARGE: Final = Stage(init=_begin, step=standing(_work), finish=_finish)

@@ -322,10 +322,11 @@ def standing_at(config: AlignConfig, given: NavInit, still: Still, C: Vector) ->
 
 
 def go_on(config: AlignConfig, given: NavInit, own: Own, biases: Vector | None = None) -> Standing[Own]:
-    """Begin a fine stage where a coarse one ended."""
+    """Begin a fine stage where a coarse one ended, and go on with its line where it hands that on."""
     limit = limits(config, given.lat, given.height, config.coarse_s + config.fine_s)
     status = AlignStatus(given.q_gb, given.P_phi, limit, 0.0, False)
-    return Standing(config, Still(), status, own, np.zeros(6) if biases is None else biases)
+    still = Still() if given.line is None else Still(line=given.line)
+    return Standing(config, still, status, own, np.zeros(6) if biases is None else biases)
 
 
 def fine_status(state: Standing[Own], seconds: float, C: Vector, P12: Vector) -> Standing[Own]:

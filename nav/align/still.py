@@ -161,6 +161,15 @@ def rate_covariance(still: Still, config: AlignConfig) -> Vector:
     return mean_rate(still, config)[1]
 
 
+def angle_walk(still: Still, config: AlignConfig) -> float:
+    """Density (rad^2/s) of the random walk by which angles scatter: the gyros', or what they show if more.
+
+    An angle that only a gyro saw, or an unseen turn, is none of the gyros' walk: a filter that does not know
+    takes it for heading.
+    """
+    return float(np.max(np.linalg.eigvalsh(drift.fitted(still.line, config.angle_random_walk).walk)))
+
+
 class Lean(NamedTuple):
     """What innovations have in common that should have nothing, fading over `LEAN` of them."""
 

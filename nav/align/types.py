@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from nav.align.drift import Line
 from nav.align.sensors import Sensors, against, sensors
 from nav.types import ImuSample, Sample, Vector
 
@@ -52,7 +53,8 @@ class NavInit:
     cross terms (the tilt of a levelled IMU is its accelerometer bias): errors, true minus
     estimate, of position and velocity (east, north, up), phi, gyro bias, accelerometer bias.
     ``rest_rate`` (3,) rad/s and ``rest_force`` (3,) m/s^2 are the standard deviations of single samples
-    while the vehicle stood (engine running or not): what a standstill looks like to this IMU.
+    while the vehicle stood (engine running or not): what a standstill looks like to this IMU. ``line`` is
+    through the angles of a standstill that goes on.
     """
 
     t_ns: int
@@ -73,6 +75,7 @@ class NavInit:
     P: Vector | None = None
     rest_rate: Vector | None = None
     rest_force: Vector | None = None
+    line: Line | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

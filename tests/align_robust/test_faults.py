@@ -55,3 +55,16 @@ def test_a_start_in_the_midst_of_a_slight_slip_is_not_wrong(seed):
             assert is_right(end, WORDS[case.fault]), (size, end)
             tried += 1
     assert tried == 2
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_an_angle_that_hides_in_the_sway_is_not_taken_for_heading(seed):
+    """6 arcsec that only a gyro saw, as much as the engine's sway: too little to refuse for, so it widens."""
+    case = Case("large_angle", "standing", "gyro_outlier")
+    tried = 0
+    for size, scene in case.scenes(seed):
+        if size == 3e-5:
+            end = end_of(case.method, scene)
+            assert is_right(end, WORDS[case.fault]), end
+            tried += 1
+    assert tried == 1
