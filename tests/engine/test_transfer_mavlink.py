@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as dialect
@@ -11,11 +9,11 @@ from pymavlink.dialects.v20 import common as dialect
 from bridge.config import ATTACHMENT, Config
 from bridge.engine import Engine
 from bridge.frame import RawFrame
-from bridge.geoid import undulation
 from bridge.outputs import ModeChange, SolutionOut, Transfer
 from nav import rotation as rot
 from nav.types import Mode, S
 from tests.engine.made import START_NS, bench_frames, fed
+from tests.mavlink.speaking import attitude_and_place
 from virtual_bus.bus import Bench
 
 SECONDS = 9.0
@@ -34,12 +32,6 @@ latency_ms = 3.0
 """
 
 
-def turned(v: Any) -> list[float]:
-    """East-north-up to north-east-down, and right-forward-up to front-right-down."""
-    x, y, z = (float(part) for part in v)
-    return [y, x, -z]
-
-
 @pytest.fixture(scope="module")
 def frames() -> list[RawFrame]:
     """The bench's own frames of the slave, and its master's words as packets, 50 of a kind a second."""
@@ -50,19 +42,7 @@ def frames() -> list[RawFrame]:
     packer = dialect.MAVLink(None, srcSystem=SYSTEM, srcComponent=1)
     made = []
     for k, t in enumerate(t_ns.tolist()):
-        ms = t // 1_000_000 + 5000
-        w, *v = rot.quat_from_dcm(said.C_ga[k]).tolist()
-        attitude = dialect.MAVLink_attitude_quaternion_message(ms, w, *turned(v), *turned(said.w_ia_a[k]))
-        lat, lon, height = float(said.lat[k]), float(said.lon[k]), float(said.height[k])
-        place = dialect.MAVLink_global_position_int_message(
-            ms,
-            *(round(np.degrees(angle) * 1e7) for angle in (lat, lon)),
-            round(1e3 * (height - undulation(lat, lon))),
-            0,
-            *(round(100.0 * x) for x in turned(said.v_g[k])),
-            0,
-        )
-        for late, message in enumerate((attitude, place)):
+        for late, message in enumerate(attitude_and_place(said, k, t // 1_000_000 + 5000)):
             rx_ns = START_NS + t + LATE_NS + 100_000 * late
             made.append(RawFrame(0, rx_ns, 2, message.get_msgId(), bytes(message.pack(packer))))
     own = [frame for frame in bench_frames(SECONDS, "transfer")[1] if not 0x140 <= frame.key < 0x150]
