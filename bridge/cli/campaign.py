@@ -96,6 +96,11 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         help="fog, mems, rlg (default: all) or, with a plan of second-order terms, dtg; may be given again",
     )
     units.add_argument(
+        "--encoder",
+        action="store_true",
+        help="on a table that comes to rest 0.1 deg off and tells where, by its encoders",
+    )
+    units.add_argument(
         "--site",
         metavar="LAT,HEIGHT[,G]",
         type=arguments.site,
@@ -188,6 +193,8 @@ def _calibration(args: argparse.Namespace, progress: Progress | None) -> int:
             raise ConfigError(f'--grade: found "{grade}", expected one of {expected}')
     usual = "positions_12" if args.geometry == "orthogonal" else "positions_18"
     plan, site = load(args.plan or usual), Site(*args.site)
+    if args.encoder:
+        plan = study.encoded(plan)
     every = [
         study.run_calibrations(
             plan,

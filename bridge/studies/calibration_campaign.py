@@ -14,11 +14,12 @@ from typing import Any, Final
 import numpy as np
 from scipy import stats
 
-from bridge.calibrating import look, model_of
+from bridge.calibrating import look, model_of, with_table
 from bridge.calibration_plan import Plan, Site
 from bridge.studies.turntable import scenario_of
 from bridge.studies.workers import Progress, each
 from nav.calibrate.checks import moved
+from nav.calibrate.encoder import Encoder, attitudes
 from nav.calibrate.model import LETTERS, NUISANCE, Model, Sensor
 from nav.calibrate.segments import segment
 from nav.calibrate.solve import Noise, fit
@@ -38,7 +39,8 @@ from virtual_bus.grades import (
     draw_imu,
 )
 from virtual_bus.sensors import Imu, Warming, generator
-from virtual_bus.turntable import Turntable
+from virtual_bus.turntable import Encoder as Circles
+from virtual_bus.turntable import TableTruth, Turntable
 
 RATE_HZ: Final = 25.0  # the slowest at which 20 deg/s leave the counters of every grade room
 NAMES: Final = tuple(sorted(GRADES))
@@ -52,6 +54,12 @@ LARGEST: Final = 4.5
 _LEAST_RUNS: Final = 100
 """From so many runs on the band is `COVERAGE`; fewer have one of their own."""
 _CHANCE: Final = 1e-3
+_OFF: Final = np.radians(0.1)
+
+
+def encoded(plan: Plan) -> Plan:
+    """The plan on a table that comes to rest 0.1 deg off and tells where, by its encoders."""
+    return replace(plan, position=_OFF, encoded=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +160,7 @@ def run_calibrations(
     """
     _, place = plan.at(site)
     model = model_of(plan, place, nominal_of(GRADES[grade], GEOMETRIES[geometry]))
-    look(plan, model, noise_of(GRADES[grade]))
+    look(plan, model, with_table(noise_of(GRADES[grade]), plan, plan.encoded))
     found: dict[int, Round] = {}
     for one in each(partial(_one, plan, site, grade, geometry), range(seed_base, seed_base + runs), jobs):
         found[one.seed] = one
@@ -186,8 +194,9 @@ def counted(
 ) -> tuple[Stream, ImuErrors, Vector]:
     """What a unit counts on the table, the unit, and the table's errors (4,) as the model has them.
 
-    It has a temperature of ``soak`` degC, by default that of its sheet. Units of different grades and
-    geometries share no random numbers, so that each is evidence of its own.
+    It has a temperature of ``soak`` degC, by default that of its sheet. What encoders of the table read is
+    dated by the unit's clock. Units of different grades and geometries share no random numbers, so that each
+    is evidence of its own.
     """
     of = f"{grade.name}/{geometry}"
     delta, gravity = table.drawn(generator(seed, f"{of}/table"))
@@ -202,7 +211,13 @@ def counted(
     blocks = [imu.block(t_ns[k : k + rate + 1])[0] for k in range(0, count, rate)]
     dt = np.asarray(np.diff(t_ns) * 1e-9, dtype=np.float64)
     counts = np.concatenate(blocks).astype(np.float64)
-    stream = Stream(f"seed {seed}", 0.0, dt, counts, {}, np.full(len(dt), at))
+    told = None
+    if table.encoder is not None and isinstance(trajectory, TableTruth):
+        circles = Circles(trajectory, table.encoder, generator(seed, f"{of}/circles"))
+        time = np.arange(0.0, table.seconds(), 1.0 / table.encoder.rate_hz)
+        angles = circles.read(np.rint(1e9 * time).astype(np.int64))
+        told = Encoder(time, attitudes(np.radians(angles), table.encoder.axes))
+    stream = Stream(f"seed {seed}", 0.0, dt, counts, {}, np.full(len(dt), at), told)
     return stream, unit, np.append(delta, gravity / table.gravity - 1.0)
 
 
@@ -245,7 +260,8 @@ def _second_order(one: Sensor, form: Vector) -> dict[str, float]:
 
 
 def _one(plan: Plan, site: Site | None, grade: str, geometry: str, seed: int) -> Round:
-    nominal, noise = nominal_of(GRADES[grade], GEOMETRIES[geometry]), noise_of(GRADES[grade])
+    nominal = nominal_of(GRADES[grade], GEOMETRIES[geometry])
+    noise = with_table(noise_of(GRADES[grade]), plan, plan.encoded)
     streams: list[Stream] = []
     for soak in plan.soaks or (None,):
         table = scenario_of(plan, site, grade, RATE_HZ, soak)

@@ -84,6 +84,15 @@ def test_angles_are_dated_by_their_own_clock(recorded):
     assert np.median(np.diff(told.time)) == pytest.approx(0.02, abs=5e-6)
 
 
+def test_units_on_such_tables_are_as_wrong_as_they_say():
+    plan = study.encoded(read(plan_text(dwell=6.0).encode(), "plan.toml"))
+    told = study.run_calibrations(plan, None, "rlg", 2, seed_base=20)
+    assert told.passed
+    # as the plan says without its encoder
+    blind = study.run_calibrations(replace(plan, encoded=False), None, "rlg", 2, seed_base=20)
+    assert blind.passed
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
