@@ -1,6 +1,7 @@
 """Campaigns of alignments: is the attitude that each method says while it runs as good as it says?
 
-Every method of `ALIGNMENTS` runs on the base that it is for, with sensors drawn from what it is told of them.
+Every method of `ALIGNMENTS` runs on the base that it is for, with sensors drawn from what it is told of them:
+constant errors, noise, and what calibration leaves of scale and axes.
 The seeds are ``seed_base``, ``seed_base + 1``, ... and every one counts: at an epoch at which a run says no
 attitude for the present, it has none that could be judged, and a campaign says how many there were.
 """
@@ -15,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from bridge.studies.alignment_runs import SCENES, Scene
+from bridge.studies.alignment_runs import SCENES, Left, Scene
 from bridge.studies.alignment_truth import (
     HEIGHT,
     LAT,
@@ -33,6 +34,7 @@ from bridge.studies.workers import Progress, each
 from nav.align import ALIGNMENTS, AlignConfig, advance, begin, result
 from nav.rotation import dcm_from_euler, dcm_from_quat, euler_from_dcm
 from nav.types import ImuSample
+from virtual_bus.grades import ARCSEC, GRADES, PPM
 from virtual_bus.sensors import generator
 
 EPOCHS: Final = 12
@@ -74,12 +76,26 @@ TRIALS: Final[dict[str, Trial]] = {
 }
 """For each method the base that it is for."""
 
+
+def _left(grade: str) -> Left:
+    """Of scale and axes, what calibration leaves of a unit of a grade."""
+    unit = GRADES[grade]
+    return Left(
+        gyro_scale=unit.gyro_scale_ppm * PPM,
+        gyro_axes=unit.gyro_misalignment_arcsec * ARCSEC,
+        accel_scale=unit.accel_scale_ppm * PPM,
+        accel_axes=unit.accel_misalignment_arcsec * ARCSEC,
+    )
+
+
+_LEFT: Final = _left("rlg")
 _CONSUMER: Final = AlignConfig(
     gyro_bias=math.radians(0.1),
     accel_bias=0.05,
     angle_random_walk=math.radians(0.3) / 60.0,
     velocity_random_walk=1e-3,
     sigma_heading=1e-9,  # it does not end: what it says as it goes on is looked at
+    **_left("mems")._asdict(),
 )
 _CONSUMER_S: Final = 65.0
 
@@ -106,7 +122,7 @@ def scene_of(method: str, seed: int, dt: float | None = None) -> Scene:
     dt = dt or trial.dt
     if trial.scene == "consumer":
         return _consumer(seed, dt)
-    scene = SCENES[trial.scene](seed, dt)
+    scene = SCENES[trial.scene](seed, dt, left=_LEFT)
     if "heading" not in ALIGNMENTS[method].needs:
         return scene
     heading = float(euler_from_dcm(scene.C_gb(scene.start_ns))[0])

@@ -68,6 +68,19 @@ GRADE: Final = AlignConfig(
 """The sensors of Yan Gongmin 2008, sections 2.4.4 and 3.2.3; 100 Hz; standard deviations of what is drawn."""
 
 
+class Left(NamedTuple):
+    """What calibration has left of scale and axes, as `AlignConfig` has it."""
+
+    gyro_scale: float = 0.0
+    gyro_axes: float = 0.0
+    accel_scale: float = 0.0
+    accel_axes: float = 0.0
+
+
+NOTHING: Final = Left()
+"""What the printed conditions have of it."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
     """What one seed makes of a situation.
@@ -149,8 +162,10 @@ def _fixed(
     swing: Vector | None = None,
     attitude: Vector | None = None,
     rest_s: float = 0.0,
+    left: Left = NOTHING,
 ) -> Scene:
     """On a base that does not drive: at rest, or swaying."""
+    config = replace(config, **left._asdict())
     rng, imu = generator(seed, name), _imu(seed, config)
     if attitude is None:
         attitude = np.append(imu.heading, rng.uniform(-0.1, 0.1, 2))
@@ -162,7 +177,12 @@ def _fixed(
 
 
 def _misaligned(
-    seed: int, dt: float = DT, *, name: str, angles_deg: tuple[float, float, float | None]
+    seed: int,
+    dt: float = DT,
+    *,
+    name: str,
+    angles_deg: tuple[float, float, float | None],
+    left: Left = NOTHING,
 ) -> Scene:
     """At rest, with IMU axes that are off east-north-up by Euler platform angles; azimuth None: any.
 
@@ -171,10 +191,13 @@ def _misaligned(
     x, y, z = angles_deg
     # C_n^n' turns about z, x, y, as heading, pitch and roll turn, heading the other way
     heading = _imu(seed, GRADE).heading if z is None else -math.radians(z)
-    return _fixed(seed, dt, name=name, config=GRADE, attitude=np.append(heading, np.radians([x, y])))
+    attitude = np.append(heading, np.radians([x, y]))
+    return _fixed(seed, dt, name=name, config=GRADE, attitude=attitude, left=left)
 
 
-def _driving(seed: int, dt: float = DT, *, name: str, kind: str, from_rest: bool) -> Scene:
+def _driving(
+    seed: int, dt: float = DT, *, name: str, kind: str, from_rest: bool, left: Left = NOTHING
+) -> Scene:
     """Ten minutes with an odometer: at 5 to 8 m/s from a rest on, or under way at 5 m/s."""
     config = replace(
         GRADE,
@@ -187,6 +210,7 @@ def _driving(seed: int, dt: float = DT, *, name: str, kind: str, from_rest: bool
         sigma_mounting=MOUNTING,
         odometer_lever_arm=-np.array(PLACE),
         slip=0.002,
+        **left._asdict(),
     )
     rng, imu = generator(seed, name), _imu(seed, config)
     seconds = config.coarse_s + config.fine_s + SPARE_S
@@ -206,7 +230,7 @@ def _driving(seed: int, dt: float = DT, *, name: str, kind: str, from_rest: bool
     )
 
 
-def _stopping(seed: int, dt: float = DT, *, name: str) -> Scene:
+def _stopping(seed: int, dt: float = DT, *, name: str, left: Left = NOTHING) -> Scene:
     """Stop, drive, stop, drive, stop; GNSS positions of 2 m once a second and no velocities."""
     config = replace(
         GRADE,
@@ -214,6 +238,7 @@ def _stopping(seed: int, dt: float = DT, *, name: str) -> Scene:
         accel_bias=3e-5 * G,
         fine_s=STOPS_S - GRADE.coarse_s - 1.0,
         position=None,
+        **left._asdict(),
     )
     rng, imu = generator(seed, name), _imu(seed, config)
     trajectory = drive(stops(), imu.heading, LAT, LON, HEIGHT)
@@ -245,7 +270,8 @@ SCENES: Final[dict[str, Callable[..., Scene]]] = {
     "winding road under way": partial(_driving, name="winding 5", kind="winding", from_rest=False),
     "stops": partial(_stopping, name="stops"),
 }
-"""Name to scene of a seed, and of the seconds between two samples (100 Hz where not given)."""
+"""Name to scene of a seed, of the seconds between two samples (100 Hz where not given), and of what is
+``left`` of scale and axes (nothing where not given)."""
 
 
 # ---- runs ---------------------------------------------------------------------------------------

@@ -157,13 +157,19 @@ def sensed(
 ) -> tuple[list[ImuSample], Vector, Vector]:
     """Inertial samples with the errors of ``config``, and the constant errors (3,) of gyros, accelerometers.
 
-    ``dtheta``, ``dv`` (n, 3) are exact; errors that are not given are drawn.
+    ``dtheta``, ``dv`` (n, 3) are exact; errors that are not given are drawn. The constant errors of
+    accelerometers hold at the mean specific force: what scale and axes make of gravity is in them.
     """
     eps = config.gyro_bias * rng.standard_normal(3) if eps is None else eps
     nabla = config.accel_bias * rng.standard_normal(3) if nabla is None else nabla
     root, step = math.sqrt(dt), round(dt * 1e9)
+    own = rng.spawn(1)[0].standard_normal((2, 3, 3))
+    one = np.eye(3, dtype=bool)
+    turns = dtheta @ (np.where(one, config.gyro_scale, config.gyro_axes) * own[0]).T
+    pushes = (dv - dv.mean(axis=0)) @ (np.where(one, config.accel_scale, config.accel_axes) * own[1]).T
     dtheta = dtheta + eps * dt + config.angle_random_walk * root * rng.standard_normal(dtheta.shape)
     dv = dv + nabla * dt + config.velocity_random_walk * root * rng.standard_normal(dv.shape)
+    dtheta, dv = dtheta + turns, dv + pushes
     samples = [ImuSample(start_ns + (k + 1) * step, dt, dtheta[k], dv[k], "imu") for k in range(len(dtheta))]
     return samples, eps, nabla
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from nav.earth import EARTH_RATE, ecef, gravity_g, position_matrix
 from nav.jit import kernel
-from nav.rotation import exponential, multiply
+from nav.rotation import exponential, multiply, quat_conjugate, quat_multiply, rotvec_from_quat
 from nav.strapdown.kernels import increments
 from nav.types import Vector
 
@@ -221,7 +221,10 @@ def before(track: Tracker) -> Vector:
 
 
 class Change(NamedTuple):
-    """What happened between two rows, in b0: seconds, integrals of force, sensitivities as in a row."""
+    """What happened between two rows, in b0: seconds, integrals of force, sensitivities as in a row.
+
+    ``turn`` (3,) rad is that of b, in its own axes.
+    """
 
     dt: float
     dv: Vector
@@ -230,6 +233,7 @@ class Change(NamedTuple):
     B: Vector
     E: Vector
     D: Vector
+    turn: Vector
 
 
 def change(a: Vector, b: Vector) -> Change:
@@ -246,6 +250,7 @@ def change(a: Vector, b: Vector) -> Change:
         B=b[A_B:A_E].reshape(3, 3) - B_a - cross_matrix(dv) @ A_a,
         E=(b[A_E:A_D] - a[A_E:A_D]).reshape(3, 3) - A_a * dt,
         D=(b[A_D:A_SIZE] - a[A_D:A_SIZE]).reshape(3, 3) - B_a * dt - cross_matrix(dp) @ A_a,
+        turn=rotvec_from_quat(quat_multiply(quat_conjugate(a[A_Q:A_V]), b[A_Q:A_V])),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from nav.align import constant, handover
 from nav.align.apparent import A_T, A_V, C_i0g, attitude
-from nav.align.constant import EPS, NAB, SIZE, START, THETA, VEL, Solved
+from nav.align.constant import EPS, NAB, START, THETA, VEL, Solved
 from nav.align.handover import Place
 from nav.align.static import BLIND
 from nav.align.types import AlignConfig, NavInit
@@ -40,7 +40,7 @@ def _attitude(
 ) -> tuple[Vector, Vector]:
     C_gb0 = C_i0g(start_lat, lat, lon_since, float(row[A_T])).T @ solved.C.T
     by_gyros = dcm_from_quat(quat_from_rotvec(solved.x[THETA])) @ attitude(row)
-    J = np.zeros((3, SIZE - 6))
+    J = np.zeros((3, len(solved.P)))
     J[:, 0:3], J[:, _at(THETA)] = -C_gb0, C_gb0
     return C_gb0 @ by_gyros, J
 
@@ -72,7 +72,7 @@ def handed(
     since = math.remainder(place[1] - start[1], 2.0 * math.pi)
     C_gb, J_phi = _attitude(solved, row, start[0], place[0], since)
     C_gb0 = -J_phi[:, 0:3]
-    J = np.zeros((15, SIZE - 6))
+    J = np.zeros((15, len(solved.P)))
     J[3:6, 0:3] = C_gb0 @ (skew(solved.C @ u) + skew(v_b0))
     J[3:6, _at(VEL)] = J[3:6, _at(START)] = C_gb0
     J[6:9] = J_phi

@@ -20,6 +20,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from nav.align.apparent import Change, cross_matrix
+from nav.align.match_filter import Indices, own_errors
 from nav.align.types import AlignConfig
 from nav.rotation import dcm_from_quat, quat_from_rotvec, skew
 from nav.types import Vector
@@ -35,34 +36,54 @@ OFFSET: Final = slice(27, 30)  # m, in b0: place at the beginning, what a refere
 WHEEL: Final = slice(30, 33)  # 1, rad, rad: odometer scale, mounting in heading and in pitch
 LEVER: Final = WHEEL  # m, in b: from the point about which a base sways, which has no wheels, to the IMU
 SIZE: Final = 33
+OWN: Final = slice(SIZE, None)  # entries of M_g, M_a: errors of scale and axes, as many as an estimate has
 FREE: Final = 1.0 / 3.0  # variance of an element of any rotation
 MISFIT: Final = 50.0  # chi-square of twelve degrees of freedom that no run of the mill data reach
 UNKNOWN: Final = 0.2  # rad: less is known of the rotation than its covariance can say
+_NONE: Final = np.zeros(0, np.intp)
 _EYE: Final = np.eye(3)
 _CROSS: Final = skew(_EYE)  # [e_k x]
 
 
 class Estimate(NamedTuple):
-    """State (SIZE,) and covariance of the filter.
+    """State (n,) and covariance of the filter, the first `SIZE` of which are always there.
 
     ``feigned`` (9, 9) is what of their information about the elements is none: that they are zero. The filter
     begins with it, and noise in a vector that they multiply adds to it, epoch by epoch.
+
+    From `OWN` on are the errors of scale and axes that there are: ``own_g`` and ``own_a`` say which entries
+    of M_g and of M_a, row by row, by which in b a rate w is off by M_g w, and a specific force f by
+    M_a (f - ``force``). `NAB` holds at that (3,) m/s^2.
     """
 
     x: Vector
     P: Vector
     feigned: Vector = np.eye(9) / FREE
+    own_g: Indices = _NONE
+    own_a: Indices = _NONE
+    force: Vector = np.zeros(3)
 
 
-def begin(config: AlignConfig, start: float, offset: float, wheel: Vector) -> Estimate:
-    """Nothing known of the rotation; ``start`` m/s, ``offset`` m and ``wheel`` (3,) standard deviations."""
+def begin(
+    config: AlignConfig, start: float, offset: float, wheel: Vector, force: Vector | None = None
+) -> Estimate:
+    """Nothing known of the rotation; ``start`` m/s, ``offset`` m and ``wheel`` (3,) standard deviations.
+
+    A base that turns shows errors of scale and axes. Where it does, ``force`` (3,) m/s^2 in b is what is felt
+    at the beginning, gravity for the most part: what these errors make of that is in the constant ones.
+    """
     P = np.zeros(SIZE)
     P[MAT] = FREE
     P[EPS], P[NAB] = config.gyro_bias**2, config.accel_bias**2
     P[START], P[OFFSET] = start**2, offset**2
     P[WHEEL] = wheel**2
     _turned(_EYE, np.zeros(3))  # compiles what the first solution needs
-    return Estimate(np.zeros(SIZE), np.diag(P))
+    e = Estimate(np.zeros(SIZE), np.diag(P))
+    if force is None:
+        return e
+    own_g, own_a, own = own_errors(config)
+    P = np.concatenate([P, own])
+    return e._replace(x=np.zeros(len(P)), P=np.diag(P), own_g=own_g, own_a=own_a, force=force)
 
 
 def transition(c: Change, forget_s: float = math.inf) -> Vector:
@@ -77,6 +98,21 @@ def transition(c: Change, forget_s: float = math.inf) -> Vector:
     return F
 
 
+def _by_own(e: Estimate, c: Change) -> Vector:
+    """What errors of scale and axes do to the state over a change of the rows, (SIZE, m)."""
+    F = np.zeros((SIZE, len(e.x) - SIZE))
+    gyro, accel = slice(0, len(e.own_g)), slice(len(e.own_g), None)
+    # mean axes by mean rates and forces: from epoch to epoch it turns by little
+    tilt = -c.A[:, e.own_g // 3] * (c.turn / c.dt)[e.own_g % 3]
+    push = (c.A.T @ c.dv / c.dt**2 - e.force)[e.own_a % 3]
+    F[THETA, gyro] = tilt
+    F[VEL, gyro] = -0.5 * cross_matrix(c.dv) @ tilt
+    F[POS, gyro] = -cross_matrix(c.dp) @ tilt / 3.0
+    F[VEL, accel] = -c.A[:, e.own_a // 3] * push
+    F[POS, accel] = -c.E[:, e.own_a // 3] * push
+    return F
+
+
 def meanwhile(c: Change) -> Vector:
     """Error of the mean velocity over a change of the rows by the state after it, (3, SIZE)."""
     before = np.linalg.inv(transition(c))
@@ -87,8 +123,14 @@ def predict(
     e: Estimate, c: Change, config: AlignConfig, walk: Vector, forget_s: float = math.inf
 ) -> Estimate:
     """Over a change of the rows; ``walk`` (3, 3) m^2/s drives the offset, which lasts ``forget_s``."""
-    F, force = transition(c, forget_s), cross_matrix(c.dv)
-    Q = np.zeros((SIZE, SIZE))
+    n = len(e.x)
+    F, force = np.eye(n), cross_matrix(c.dv)
+    F[:SIZE, :SIZE] = transition(c, forget_s)
+    if n > SIZE:
+        F[:SIZE, OWN] = _by_own(e, c)
+    Q = np.zeros((n, n))
+    Q[EPS, EPS] = config.gyro_walk**2 * c.dt * _EYE
+    Q[NAB, NAB] = config.accel_walk**2 * c.dt * _EYE
     turn, push = config.angle_random_walk**2 * c.dt, config.velocity_random_walk**2 * c.dt
     Q[THETA, THETA] = turn * _EYE
     # the attitude that walks within the change turns the force: integrals of a random walk
@@ -98,7 +140,7 @@ def predict(
     Q[POS, VEL] = Q[VEL, POS] = 0.5 * push * c.dt * _EYE
     Q[POS, POS] = push * c.dt**2 / 3.0 * _EYE
     Q[OFFSET, OFFSET] = walk * c.dt
-    return Estimate(F @ e.x, F @ e.P @ F.T + Q, e.feigned)
+    return e._replace(x=F @ e.x, P=F @ e.P @ F.T + Q)
 
 
 def design(u: Vector, further: Vector | None = None, axis: Vector | None = None) -> Vector:
@@ -125,7 +167,7 @@ class Innovation(NamedTuple):
 
 def innovation(e: Estimate, H: Vector, z: Vector, R: Vector) -> Innovation:
     """Of ``z`` (3,) = H x + noise of covariance ``R`` (3, 3)."""
-    return Innovation(z - H @ e.x, H @ e.P @ H.T + R)
+    return Innovation(z - H @ e.x[:SIZE], H @ e.P[:SIZE, :SIZE] @ H.T + R)
 
 
 def update(e: Estimate, H: Vector, z: Vector, R: Vector, noise: Vector | None = None) -> Estimate:
@@ -135,17 +177,18 @@ def update(e: Estimate, H: Vector, z: Vector, R: Vector, noise: Vector | None = 
     noise look as if the elements had been seen to be smaller.
     """
     nu, S = innovation(e, H, z, R)
-    K = np.linalg.solve(S, H @ e.P).T
-    keep = np.eye(SIZE) - K @ H
+    K = np.linalg.solve(S, H @ e.P[:SIZE]).T
+    keep = np.eye(len(e.x))
+    keep[:, :SIZE] -= K @ H
     P = keep @ e.P @ keep.T + K @ R @ K.T
     feigned = e.feigned if noise is None else e.feigned + np.kron(np.linalg.inv(R), noise)
-    return Estimate(e.x + K @ nu, 0.5 * (P + P.T), feigned)
+    return e._replace(x=e.x + K @ nu, P=0.5 * (P + P.T), feigned=feigned)
 
 
 class Solved(NamedTuple):
     """The rotation: C_b0i0 (3, 3), the rest of the state, and the joint covariance.
 
-    The first three places of ``P`` (SIZE - 6, SIZE - 6) are psi, true C_b0i0 = (I + [psi x]) C; the others
+    The first three places of ``P`` (n - 6, n - 6) are psi, true C_b0i0 = (I + [psi x]) C; the others
     follow the state's from `EPS` on, six places earlier. ``misfit``: chi-square of six degrees of freedom
     that the nine elements miss a rotation by.
     """
@@ -274,6 +317,6 @@ def _turned(C: Vector, psi: Vector) -> Vector:
 
 
 def _joint(C: Vector, x: Vector, sigma: Vector, cross: Vector, P: Vector, misfit: float) -> Solved:
-    out = np.empty((SIZE - 6, SIZE - 6))
+    out = np.empty((len(P) - 6, len(P) - 6))
     out[:3, :3], out[:3, 3:], out[3:, :3], out[3:, 3:] = sigma, cross, cross.T, P[9:, 9:]
     return Solved(C, x, 0.5 * (out + out.T), misfit)

@@ -112,7 +112,7 @@ def take(
         for past in waiting:
             if taken % (book.lasts // RIVALS) == 0:
                 since = taken if past.t > SETTLE_S else max(taken, BACK)
-                rivals = (*rivals, Rival(e._replace(P=e.P + _HAPPENED), since + book.lasts))
+                rivals = (*rivals, Rival(_happened(e), since + book.lasts))
             ahead = constant.predict(e, past.change, config, past.walk)
             rivals, better = _rivalled(rivals, config, past, ahead, variance, variance / least)
             rivals = tuple(rival for rival in rivals if rival.last > taken + 1)
@@ -129,6 +129,13 @@ def take(
     return book._replace(
         estimate=e, row=row, rough=rough, waiting=waiting, taken=taken, rivals=rivals, worst=worst
     ), moved
+
+
+def _happened(e: Estimate) -> Estimate:
+    """The estimate, if something happened now."""
+    P = e.P.copy()
+    P[:SIZE, :SIZE] += _HAPPENED
+    return e._replace(P=P)
 
 
 def _rivalled(

@@ -97,7 +97,7 @@ def _begin(state: Drive, sample: ImuSample) -> Taken[Drive]:
     start = (fix.lat, fix.lon, fix.height)
     path = inertial(*start)
     # the place at the beginning, a constant, takes the states that an odometer would use
-    estimate = constant.begin(config, START_SPEED, sigma, far)
+    estimate = constant.begin(config, START_SPEED, sigma, far, sample.dv / sample.dt)
     state = state._replace(
         track=track,
         path=path,

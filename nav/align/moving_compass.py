@@ -43,8 +43,9 @@ from nav.align.compass_course import (
 )
 from nav.align.compass_loop import head
 from nav.align.handover import hand_over
+from nav.align.moving_block import EPS, NAB, PITCH, POS, TILT, VEL, YAWED
 from nav.align.moving_way import ADD, PUT, SMOOTH_NS, TAKE, carried, turn, velocities, way_at
-from nav.align.moving_weights import EPS, NAB, PITCH, POS, TILT, VEL, YAWED, Weights
+from nav.align.moving_weights import Weights
 from nav.align.static import limits
 from nav.align.store import Piece, Store, Track
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nav.align.handover import Place
-from nav.align.moving_weights import NAB, POS, RATE, SIZE, TILT, VEL, Weights
+from nav.align.moving_block import NAB, POS, RATE, TILT, VEL
+from nav.align.moving_weights import Weights
 from nav.earth import ecef, position_angles, position_matrix, xyz_to_geodetic
 from nav.rotation import dcm_from_quat, quat_from_rotvec, quat_multiply
 from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
@@ -46,7 +47,7 @@ def turned(weights: Weights, origin: Place) -> Turned:
 
 def phi_covariance(weights: Weights, C_gn: Vector) -> Vector:
     """Covariance (3, 3) of phi, rad^2."""
-    J = np.zeros((3, SIZE))
+    J = np.zeros((3, len(weights.P)))
     J[:, TILT], J[2, RATE] = C_gn, weights.north().by
     return np.asarray(J @ weights.north().P @ J.T)
 
@@ -67,7 +68,7 @@ def place(weights: Weights, found: Turned, origin: Place) -> tuple[Place, Vector
 def covariance(weights: Weights, found: Turned, way_g: Vector) -> Vector:
     """Covariance (15, 15) of what is handed over, ``way_g`` (3,) m from where the pass began."""
     by, C, v_g = weights.north().by, found.C_gn, found.C_gn @ found.x[X_V : X_V + 3]
-    J = np.zeros((15, SIZE))
+    J = np.zeros((15, len(weights.P)))
     for part in (POS, VEL, TILT):
         J[part, part] = C
     J[TILT.stop : NAB.stop, TILT.stop : NAB.stop] = np.eye(NAB.stop - TILT.stop)

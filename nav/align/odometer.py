@@ -14,8 +14,9 @@ put in is in the first, and the displacement in b0 is the dead reckoning that gi
 turned by the attitude found. A second pass with the first one's attitude from the start, over four straight
 and four winding roads of 3 km, changed heading by 2.3e-5 deg at most, of sigmas of 0.033 and 0.007 deg.
 
-Scale factor and mounting of the odometer and the biases of gyros and accelerometers are estimated with the
-rotation. In a turn the accelerometer bias turns with the vehicle and would look like a drift of gravity.
+Scale factor and mounting of the odometer and the errors of gyros and accelerometers are estimated with the
+rotation. In a turn the accelerometer bias turns with the vehicle and would look like a drift of gravity, and
+what the gyros do not count of it, by their scale and axes, tilts all that is seen since.
 """
 
 from __future__ import annotations
@@ -119,7 +120,7 @@ def _begin(state: Ride, sample: ImuSample) -> Taken[Ride]:
     track = tracker(t_ns)
     sigma = UNMOUNTED if config.C_vb is None else config.sigma_mounting
     wheel = np.array([config.odometer_scale, sigma, sigma])
-    estimate = constant.begin(config, START_SPEED, PLACE, wheel)
+    estimate = constant.begin(config, START_SPEED, PLACE, wheel, sample.dv / sample.dt)
     zero, row = _ZERO, track.row.copy()
     state = state._replace(
         track=track,
