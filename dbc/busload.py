@@ -22,6 +22,8 @@ FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Data lengths that a CAN FD frame can have, bytes."""
 
 IMU_CLASSIC: Final = ("IMU_GYRO", "IMU_ACCEL", "IMU_TIME")
+IMU_MORE: Final = ("IMU_LATCH", "IMU_GYRO_2", "IMU_ACCEL_2")
+"""What some units send with every sample besides."""
 IMU_FD: Final = ("IMU_FD",)
 
 _CLASSIC_TAIL: Final = 13  # CRC delimiter, ACK and its delimiter, 7 end of frame, 3 between frames
@@ -138,25 +140,36 @@ def bus_load(
     )
 
 
+def stream(codec: MessageCodec, frame_id: int, imu_rate_hz: float, solution_rate_hz: float) -> Stream:
+    """A message at its rate: those of a sample of the IMU, those of an epoch of the solution at these, others
+    by their cycle time. ``frame_id`` is that on the bus.
+
+    Raises ValueError for a message that is sent on request.
+    """
+    name, every = codec.name, codec.cycle_ms
+    if name in IMU_CLASSIC + IMU_MORE + IMU_FD:
+        rate = imu_rate_hz
+    elif every is None:
+        raise ValueError(f"{name} has no cycle time")
+    elif name == "SOL_REJECTS":  # one frame for each reason
+        rate = 1e3 / every * (_maximum(codec, "REASON") + 1)
+    elif name.startswith("SOL_") and every == contract()["SOL_TIME"].cycle_ms:
+        rate = solution_rate_hz
+    else:
+        rate = 1e3 / every
+    return Stream(name, frame_id, codec.length, codec.is_fd, rate)
+
+
 def default_streams(imu_rate_hz: float, solution_rate_hz: float = 50.0, *, fd: bool = False) -> list[Stream]:
     """Return every cyclic message of the contract at its rate: the IMU (``fd``: as CAN FD) at
     ``imu_rate_hz``, the solution at ``solution_rate_hz``, the others by their cycle time.
     """
     left_out = IMU_CLASSIC if fd else IMU_FD
-    streams = []
-    for name, codec in contract().items():
-        if codec.cycle_ms is None or name in left_out:
-            continue
-        if name in IMU_CLASSIC + IMU_FD:
-            rate = imu_rate_hz
-        elif name == "SOL_REJECTS":  # one frame for each reason
-            rate = 1e3 / codec.cycle_ms * (_maximum(codec, "REASON") + 1)
-        elif name.startswith("SOL_") and name != "SOL_HEALTH":
-            rate = solution_rate_hz
-        else:
-            rate = 1e3 / codec.cycle_ms
-        streams.append(Stream(name, codec.frame_id, codec.length, codec.is_fd, rate))
-    return streams
+    return [
+        stream(codec, codec.frame_id, imu_rate_hz, solution_rate_hz)
+        for name, codec in contract().items()
+        if codec.cycle_ms is not None and name not in left_out
+    ]
 
 
 def _maximum(codec: MessageCodec, signal: str) -> float:

@@ -1,4 +1,4 @@
-"""``navbridge busload``: how much of a CAN bus the default set of messages takes."""
+"""``navbridge busload``: how much of a CAN bus the messages of a configuration, or the default set, take."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bridge import arguments
+from bridge.errors import ConfigError
 from dbc.busload import BusLoad, as_document, default_table
 
 
@@ -17,33 +18,34 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
     """Declare the command."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "busload",
-        help="how much of a CAN bus the default messages take",
-        description="Compute the load of the default messages on a CAN bus, without stuff bits and with "
-        "as many as can be, for one or more IMU rates.",
+        help="how much of a CAN bus the messages take",
+        description="Compute the load of a CAN bus, without stuff bits and with as many as can be: of every "
+        "bus of a configuration with the messages of its devices and sinks, or without one of a bus with one "
+        "of every cyclic message, for one or more IMU rates. Exit status 1 when a worst case does not fit.",
     )
+    parser.add_argument("config", metavar="CONFIG", nargs="?", help="a packaged configuration or a TOML file")
     parser.add_argument(
         "--imu-rate",
         metavar="HZ",
         type=arguments.rate,
         action="append",
-        help="samples a second; may be repeated (default: 200 and 1000)",
+        help="samples a second; may be repeated (default: 200 and 1000; with CONFIG its own)",
     )
     parser.add_argument(
         "--solution-rate",
         metavar="HZ",
         type=arguments.rate,
-        default=50.0,
-        help="published solutions a second (default: 50)",
+        help="published solutions a second (default: 50; with CONFIG its own)",
     )
     parser.add_argument(
         "--bitrate",
         metavar="BIT_S",
         type=arguments.whole(1),
         default=1_000_000,
-        help="bit rate (default: 1000000)",
+        help="bit rate (default: 1000000), where CONFIG does not say it",
     )
     parser.add_argument(
-        "--fd", action="store_true", help="the IMU sends its CAN FD frame instead of three classic ones"
+        "--fd", action="store_true", help="IMUs send their CAN FD frame instead of three classic ones"
     )
     parser.add_argument(
         "--data-bitrate",
@@ -57,15 +59,28 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
 
 def run(args: argparse.Namespace) -> int:
     """Print the tables; exit status 1 when a worst case does not fit the bus."""
-    loads = default_table(
-        args.imu_rate or (200.0, 1000.0), args.solution_rate, args.bitrate, args.data_bitrate, fd=args.fd
-    )
+    others: list[tuple[str, ...]]
+    if args.config is None:
+        rates, solution = args.imu_rate or (200.0, 1000.0), args.solution_rate or 50.0
+        loads = default_table(rates, solution, args.bitrate, args.data_bitrate, fd=args.fd)
+        others = [() for _ in loads]
+    else:
+        for option, value in (("imu-rate", args.imu_rate), ("solution-rate", args.solution_rate)):
+            if value is not None:
+                raise ConfigError(f"--{option}: found one with {args.config}, which has its own")
+        from bridge.bus_messages import buses
+        from bridge.config import Config
+
+        found = buses(Config.load(args.config), args.bitrate, args.data_bitrate, fd=args.fd)
+        loads, others = [bus.load for bus in found], [bus.others for bus in found]
     if args.json:
         print(json.dumps([as_document(load) for load in loads], indent=2))
     else:
         console = Console()
-        for load in loads:
+        for load, left in zip(loads, others, strict=True):
             console.print(_table(load))
+            if left:
+                console.print(f"not counted, as their messages are not the bridge's own: {', '.join(left)}")
             console.print(_verdict(load))
     return 0 if all(load.load_worst <= 1.0 for load in loads) else 1
 

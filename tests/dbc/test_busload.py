@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections import Counter
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bridge.bus_messages import buses
 from bridge.cli import busload as command
+from bridge.config import Config
+from bridge.errors import ConfigError
 from dbc.busload import (
     FD_LENGTHS,
     Stream,
@@ -19,6 +24,7 @@ from dbc.busload import (
     default_table,
     fd_bits,
 )
+from virtual_bus.bus import Bench
 
 
 def stuff_bits(bits: list[int]) -> int:
@@ -133,6 +139,8 @@ def test_the_default_set_fits_one_megabit() -> None:
     assert sample["SOL_LAT"] == 50.0
     assert sample["ODO"] == 100.0
     assert sample["SOL_REJECTS"] == 11.0
+    # which come ten times a second while there is an alignment, whatever the solution's rate
+    assert sample["SOL_ALIGN"] == sample["SOL_TRANSFER"] == 10.0
     assert "COMMAND" not in sample
     assert "IMU_FD" not in sample
 
@@ -143,10 +151,14 @@ def test_the_fd_set_replaces_the_three_frames() -> None:
     assert not names & {"IMU_GYRO", "IMU_ACCEL", "IMU_TIME"}
 
 
-def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+def parsed(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     command.add_parser(parser.add_subparsers())
-    status = command.run(parser.parse_args(["busload", *words]))
+    return parser.parse_args(["busload", *words])
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    status = command.run(parsed(*words))
     return status, capsys.readouterr().out
 
 
@@ -170,6 +182,42 @@ def test_an_overloaded_bus_is_said_and_is_an_error(capsys: pytest.CaptureFixture
     status, out = run(capsys, "--imu-rate", "1000", "--bitrate", "500000")
     assert status == 1
     assert "does not fit" in out
+
+
+@pytest.mark.parametrize("scenario", ["redundant", "transfer", "mems_drive"])
+def test_a_configuration_has_the_messages_that_are_sent(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], scenario: str
+) -> None:
+    bench = Bench(scenario, seconds=10.0)
+    for name, text in bench.files("virtual", "bench").items():
+        (tmp_path / name).write_text(text)
+    status, out = run(capsys, str(tmp_path / "config.toml"), "--json")
+    loads = json.loads(out)
+    assert status == 0
+    told = {row["frame_id"]: row["rate_hz"] for load in loads for row in load["rows"]}
+    heard = Counter(frame.frame_id for frame in bench.due(bench.end_ns))
+    # those of the bridge begin at 0x200
+    assert set(heard) == {key for key in told if key < 0x200}
+    imu = bench.scenario.imu.rate_hz
+    assert told[0x100] == told[0x102] == imu
+    assert (0x105 in told) == (scenario == "redundant")
+    assert told.get(0x106, imu) == imu
+    # the bench's other devices may be set to other rates than the contract's
+    assert told[0x200] == 50.0
+    assert (0x20F in told) == (scenario == "redundant")
+    assert (0x210 in told) == (scenario == "transfer")
+
+
+def test_what_a_configuration_says_is_not_said_twice(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--imu-rate: found one with bench, which has its own"):
+        command.run(parsed("bench", "--imu-rate", "200"))
+    (load,) = buses(Config.load("bench"), 125_000, None, fd=True)
+    assert load.load.bitrate == 125_000
+    names = [row.name for row in load.load.rows]
+    assert "IMU_FD" in names
+    assert "IMU_GYRO" not in names
+    (log,) = buses(Config.load("can_gnss_imu_log"), 1_000_000, None, fd=False)
+    assert log.others
 
 
 @pytest.mark.parametrize("words", [("--imu-rate", "0"), ("--imu-rate", "nan"), ("--bitrate", "-1")])
