@@ -40,7 +40,8 @@ _CONING: Final = coefficient_table()
 
 
 @in_place
-def _cross(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> tuple[float, float, float]:
+def cross(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> tuple[float, float, float]:
+    """Cross product a x b."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
@@ -62,17 +63,17 @@ def _third_order(
     wy = (d[o + 1] + d[e + 1] - d[low + 1] - d[high + 1]) * r
     wz = (d[o + 2] + d[e + 2] - d[low + 2] - d[high + 2]) * r
     # whole (s, v), slope (a, u), bend (b, w)
-    cx, cy, cz = _cross(sx, sy, sz, ax, ay, az)
-    gx, gy, gz = _cross(sx, sy, sz, ux, uy, uz)
-    hx, hy, hz = _cross(vx, vy, vz, ax, ay, az)
-    lx, ly, lz = _cross(cx, cy, cz, ux, uy, uz)
-    kx, ky, kz = _cross(gx + hx, gy + hy, gz + hz, ax, ay, az)
+    cx, cy, cz = cross(sx, sy, sz, ax, ay, az)
+    gx, gy, gz = cross(sx, sy, sz, ux, uy, uz)
+    hx, hy, hz = cross(vx, vy, vz, ax, ay, az)
+    lx, ly, lz = cross(cx, cy, cz, ux, uy, uz)
+    kx, ky, kz = cross(gx + hx, gy + hy, gz + hz, ax, ay, az)
     lx, ly, lz = lx + kx, ly + ky, lz + kz
-    cx, cy, cz = _cross(sx, sy, sz, bx, by, bz)
-    gx, gy, gz = _cross(sx, sy, sz, wx, wy, wz)
-    hx, hy, hz = _cross(vx, vy, vz, bx, by, bz)
-    kx, ky, kz = _cross(sx, sy, sz, gx + hx, gy + hy, gz + hz)
-    hx, hy, hz = _cross(vx, vy, vz, cx, cy, cz)
+    cx, cy, cz = cross(sx, sy, sz, bx, by, bz)
+    gx, gy, gz = cross(sx, sy, sz, wx, wy, wz)
+    hx, hy, hz = cross(vx, vy, vz, bx, by, bz)
+    kx, ky, kz = cross(sx, sy, sz, gx + hx, gy + hy, gz + hz)
+    hx, hy, hz = cross(vx, vy, vz, cx, cy, cz)
     return lx / 240.0 + (kx + hx) / 360.0, ly / 240.0 + (ky + hy) / 360.0, lz / 240.0 + (kz + hz) / 360.0
 
 

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nav.earth import curvature
 from nav.jit import kernel
-from nav.transfer.states import DELAY, SIZE
+from nav.rotation import exponential, multiply
+from nav.strapdown.kernels import X_C, X_H, X_Q, X_V, rotate_columns
+from nav.transfer.states import DELAY, MOVED, PHI, POSITION, SIZE, VELOCITY, X_ERRORS
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Numbers = NDArray[np.int64]
+
+_P: Final = POSITION.start
+_V: Final = VELOCITY.start
+_PHI: Final = PHI.start
 
 
 class Use(IntEnum):
@@ -130,3 +138,20 @@ def take(P: Matrix, dx: Vector, K: Matrix, W: Matrix, S: Matrix, e: Vector) -> N
             k, w = K[a, i], W[a, i]
             for c in range(SIZE):
                 P[i, c] -= k * W[a, c] + w * K[a, c]
+
+
+@kernel
+def correct(x: Vector, dx: Vector) -> None:
+    """Take the estimated errors ``dx`` (SIZE,) out of the nominal state ``x`` (X_SIZE,), in place."""
+    a, b, c, d = exponential(dx[_PHI], dx[_PHI + 1], dx[_PHI + 2])
+    a, b, c, d = multiply(a, b, c, d, x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
+    size = math.sqrt(a * a + b * b + c * c + d * d)
+    x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3] = a / size, b / size, c / size, d / size
+    for k in range(3):
+        x[X_V + k] -= dx[_V + k]
+    east, north = -dx[_P], -dx[_P + 1]
+    kxx, kxy, kyy = curvature(x[X_C + 6], x[X_C + 7], x[X_C + 8], x[X_H])
+    rotate_columns(x, X_C, -kxy * east - kyy * north, kxx * east + kxy * north, 0.0)
+    x[X_H] -= dx[_P + 2]
+    for k in range(MOVED, SIZE):
+        x[X_ERRORS + k - MOVED] -= dx[k]

@@ -17,6 +17,7 @@ from nav.align.types import AlignConfig, TransferConfig
 from nav.filter.covariance import nav_block
 from nav.jit import in_place, kernel
 from nav.strapdown.kernels import M_C, M_SIZE, X_V
+from nav.transfer.instant import part_over
 from nav.transfer.kernels import S_DT, S_FB, S_MID, S_SIZE, S_WB, run
 from nav.transfer.states import (
     ACCEL_AXES,
@@ -29,8 +30,8 @@ from nav.transfer.states import (
     PHI,
     SIZE,
     VELOCITY,
-    X_ERRORS,
     X_REST,
+    place,
 )
 
 Vector = NDArray[np.float64]
@@ -54,8 +55,8 @@ _V: Final = VELOCITY.start
 _PHI: Final = PHI.start
 _BENT: Final = FLEXURE.start
 _RATE: Final = FLEXURE_RATE.start
-_BENT_X: Final = X_ERRORS + FLEXURE.start - MOVED
-_RATE_X: Final = X_ERRORS + FLEXURE_RATE.start - MOVED
+_BENT_X: Final = place(FLEXURE).start
+_RATE_X: Final = place(FLEXURE_RATE).start
 _GYRO_AXES: Final = GYRO_AXES.start
 _ACCEL_AXES: Final = ACCEL_AXES.start
 
@@ -199,7 +200,7 @@ def advance(
     P: Matrix,
     t_ns: Times,
     rows: Matrix,
-    place: int,
+    first: int,
     share: float,
     from_ns: int,
     to_ns: int,
@@ -209,23 +210,23 @@ def advance(
 ) -> tuple[int, float]:
     """Bring state and covariance from one time to another, in place; steps of `SEGMENT_NS` at most.
 
-    ``rows`` as `nav.transfer.kernels.run` takes them end at ``t_ns``; ``share`` of the one at ``place`` is
+    ``rows`` as `nav.transfer.kernels.run` takes them end at ``t_ns``; ``share`` of the ``first`` one is
     over by ``from_ns``. ``sums`` (S_SIZE,) receives those of the last step and ``a_n`` (3,) m/s^2 the rate
     of v_n in it. Returns the place at ``to_ns``, which the rows reach, and the share of it.
     """
     while from_ns < to_ns:
         goal = min(to_ns, from_ns + SEGMENT_NS)
-        last = place
+        last = first
         while t_ns[last] < goal:
             last += 1
-        end = min(1.0, max(0.0, 1.0 - (t_ns[last] - goal) * 1e-9 / rows[last, 0]))
+        end = part_over(t_ns, rows, last, goal)
         for k in range(S_SIZE):
             sums[k] = 0.0
         vx, vy, vz = x[X_V], x[X_V + 1], x[X_V + 2]
-        run(x, rows, place, share, last, end, sums)
-        place, share, from_ns = last, end, goal
+        run(x, rows, first, share, last, end, sums)
+        first, share, from_ns = last, end, goal
         dt = sums[S_DT]
         if dt > 0.0:
             a_n[0], a_n[1], a_n[2] = (x[X_V] - vx) / dt, (x[X_V + 1] - vy) / dt, (x[X_V + 2] - vz) / dt
             predict(x, P, sums, par)
-    return place, share
+    return first, share

@@ -4,21 +4,25 @@ The textbook chapter "Inertial navigation", section 2.5.3, compares Euler angles
 here the rotation vector between the two attitudes is compared, the same to first order (``T_b lambda - phi``)
 and regular everywhere. The slave sits at the end of an arm that turns with it, so that its own gyros tell
 the velocity that the arm makes: no rates of the master are needed, and flexure is in it.
+
+Rows of H are written by columns: what an error of one along each axis does to the residual.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nav.align.types import AlignConfig, TransferConfig
-from nav.earth import EARTH_RATE, ecef, position_matrix
-from nav.rotation import cross, dcm_from_quat, quat_from_dcm, quat_from_rotvec, rotvec_from_quat, skew
-from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
+from nav.earth import EARTH_RATE, geodetic_to_xyz
+from nav.jit import in_place, kernel
+from nav.rotation import exponential, logarithm, multiply, quat_from_dcm, rotate
+from nav.strapdown.kernels import X_C, X_H, X_Q, X_V, cross
 from nav.transfer.covariance import MARKOV
+from nav.transfer.instant import CHANGE_S, I_A, I_DW, I_RATES, I_SIGMA, I_SPREAD, I_TURNS, I_W
 from nav.transfer.states import (
     ACCEL_BIAS,
     DELAY,
@@ -28,48 +32,62 @@ from nav.transfer.states import (
     GYRO_BIAS,
     LEVER,
     MOUNTING,
-    MOVED,
     PHI,
     POSITION,
     SIZE,
     VELOCITY,
-    X_ERRORS,
+    place,
 )
 from nav.types import MasterState
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+Three = tuple[float, float, float]
 
 CURVED: Final = 0.03
 """Of what the delay's uncertainty does to a row: more that is no straight line makes it useless."""
-CHANGE_S: Final = 0.02
-"""Over which the change of the rate at an instant is taken."""
 CHANCE: Final = 16.3
 """Chi-square of three that noise exceeds in one of a thousand."""
-_EYE: Final = np.eye(3)
-_ZERO: Final = np.zeros(3)
 
+# Places in what `master` makes of a message.
+A_PLACE: Final = 0  # lat, lon (rad), height (m)
+A_V: Final = 3  # v_g, 3
+A_Q: Final = 6  # q_ga, 4; zero where it does not tell
+A_W: Final = 10  # w_ia_a, 3
+A_SIZE: Final = 13
 
-class Instant(NamedTuple):
-    """How the slave moves at a message's time: in b rate ``w_b`` and its change ``dw_b``, in n acceleration.
+# Places in what `told` makes of the configuration.
+T_POSITION: Final = 0  # sigmas of a message
+T_VELOCITY: Final = 1
+T_ATTITUDE: Final = 2
+T_RATE: Final = 3
+T_OWN: Final = 4  # sigma of what the slave turns by alone, rad/s an axis: flexure, and the noise of rates
+T_Q: Final = 5  # q_ba as built, 4
+T_LEVER: Final = 9  # 3
 
-    ``w_b`` (3,) rad/s with respect to inertial space, corrected; ``dw_b`` rad/s^2; ``a_n`` (3,) m/s^2 rate of
-    v_n. ``sigma_w`` rad/s is the noise of w_b. ``spread`` s is sqrt(3) sigma of the delay; of as long before
-    and after: ``turns`` (2, 3) rad turned in between, and ``rates`` (2, 3) rad/s there, less w_b.
-    """
+# Places in a scene, which the rows of a message share.
+E_BA: Final = 0  # q_ba by the mounting estimated, 4
+E_FA: Final = 4  # the same, by flexure besides
+E_NA: Final = 8  # q_na, by the master where it tells
+E_TURN: Final = 12  # cosine and sine of the turn of n about the vertical from east-north-up there
+E_LEVER: Final = 14  # arm in a, m, 3
+E_ARM: Final = 17  # arm in b, 3
+E_W: Final = 20  # rate against the Earth in b, rad/s, 3
+E_SIZE: Final = 23
 
-    w_b: Vector
-    dw_b: Vector
-    a_n: Vector
-    sigma_w: float
-    spread: float
-    turns: Matrix
-    rates: Matrix
-
-
-def place(states: slice) -> slice:
-    """Where the nominal values of ``states`` (from `GYRO_BIAS` on) stand in the nominal state."""
-    return slice(X_ERRORS + states.start - MOVED, X_ERRORS + states.stop - MOVED)
+_P: Final = POSITION.start
+_V: Final = VELOCITY.start
+_PHI: Final = PHI.start
+_GYRO: Final = GYRO_BIAS.start
+_AXES: Final = GYRO_AXES.start
+_MOUNTING: Final = MOUNTING.start
+_FLEXURE: Final = FLEXURE.start
+_RATE: Final = FLEXURE_RATE.start
+_LEVER: Final = LEVER.start
+_X_MOUNTING: Final = place(MOUNTING).start
+_X_FLEXURE: Final = place(FLEXURE).start
+_X_RATE: Final = place(FLEXURE_RATE).start
+_X_LEVER: Final = place(LEVER).start
 
 
 def initial_covariance(config: AlignConfig, transfer: TransferConfig) -> Matrix:
@@ -88,183 +106,273 @@ def initial_covariance(config: AlignConfig, transfer: TransferConfig) -> Matrix:
     return np.diag(d**2)
 
 
-def azimuth(x: Vector, lat: float, lon: float) -> Matrix:
-    """C_ng (3, 3): turn of n about the vertical from east-north-up at ``lat``, ``lon`` (rad)."""
-    M = x[X_C : X_C + 9].reshape(3, 3).T @ position_matrix(lat, lon)
-    angle = math.atan2(M[1, 0] - M[0, 1], M[0, 0] + M[1, 1])
-    s, c = math.sin(angle), math.cos(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+def told(transfer: TransferConfig) -> Vector:
+    """What rows must know of the configuration, by places T_."""
+    bends = 0.0 if transfer.flexure is None else float(np.max(transfer.flexure / transfer.flexure_time))
+    own = math.hypot(transfer.sigma_rate, MARKOV * bends)
+    sigmas = (transfer.sigma_position, transfer.sigma_velocity, transfer.sigma_attitude, transfer.sigma_rate)
+    return np.array([*sigmas, own, *quat_from_dcm(transfer.C_ab.T), *transfer.lever_arm])
 
 
-class Rows(NamedTuple):
-    """Rows in n (rates: in b): ``r`` (3,) computed minus measured, ``H`` (3, SIZE), ``R`` (3, 3).
+def master(m: MasterState) -> Vector:
+    """What rows must know of a message (A_SIZE,)."""
+    out = np.zeros(A_SIZE)
+    out[0], out[1], out[2] = m.lat, m.lon, m.height
+    out[A_V:A_Q] = m.v_g
+    if m.q_ga is not None:
+        out[A_Q:A_W] = m.q_ga
+    if m.w_ia_a is not None:
+        out[A_W:] = m.w_ia_a
+    return out
 
-    Not ``straight``: they depend on the delay by no straight line over what is known of it, and are useless.
-    Only ``share`` of the gain that they have for the delay is used.
+
+@in_place
+def _turn(q: Vector, at: int, x: float, y: float, z: float) -> Three:
+    """A vector turned by the quaternion at a place."""
+    return rotate(q[at], q[at + 1], q[at + 2], q[at + 3], x, y, z)
+
+
+@in_place
+def _unit(k: int) -> Three:
+    return 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0
+
+
+@in_place
+def _put(H: Matrix, column: int, factor: float, v: Three) -> None:
+    H[0, column], H[1, column], H[2, column] = factor * v[0], factor * v[1], factor * v[2]
+
+
+@in_place
+def _azimuth(x: Vector, lat: float, lon: float) -> tuple[float, float]:
+    """Cosine and sine of the turn of n about the vertical from east-north-up at ``lat``, ``lon`` (rad)."""
+    s, c, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
+    o = X_C
+    xx, yx = x[o + 3] * cl - x[o] * sl, x[o + 4] * cl - x[o + 1] * sl
+    xy = c * x[o + 6] - s * (cl * x[o] + sl * x[o + 3])
+    yy = c * x[o + 7] - s * (cl * x[o + 1] + sl * x[o + 4])
+    u, v = xx + yy, yx - xy
+    size = math.sqrt(u * u + v * v)
+    return u / size, v / size
+
+
+@kernel
+def scene(x: Vector, now: Vector, m: Vector, t: Vector) -> Vector:
+    """What the rows of a message share (E_SIZE,).
+
+    ``x`` (X_SIZE,) the nominal state at its time, ``now`` (I_SIZE,) of `nav.transfer.instant`, ``m``
+    (A_SIZE,) of `master`, ``t`` of `told`.
     """
-
-    r: Vector
-    H: Matrix
-    R: Matrix
-    straight: bool = True
-    share: float = 1.0
-
-
-class Line(NamedTuple):
-    """What a delay does to a row: its ``slope`` (3,) per second, and ``bend`` (3,) from a straight line."""
-
-    slope: Vector
-    bend: Vector
-
-    def rows(self, r: Vector, H: Matrix, sigma: float, spread: float, own: float) -> Rows:
-        """Rows with noise ``sigma``: the best line over three sigma points, and what bends away from it.
-
-        ``own``: sigma an axis of the slope by what the slave alone does: it bends, vibrates, its gyros are
-        noisy. A slope that may be nothing else tells no delay, and to take it for one would find a wrong one
-        ever more surely; then the delay is considered, but not corrected by the row. It is no noise of the
-        row: that would fade over messages, and a delay is the same in all of them.
-        """
-        size = float(self.slope @ self.slope)
-        share = max(0.0, 1.0 - CHANCE * own**2 / size) if size > 0.0 else 0.0
-        H[:, DELAY] = -self.slope
-        bend = math.sqrt(2.0) / 3.0 * float(np.linalg.norm(self.bend))
-        straight = bend < max(sigma, CURVED * spread * float(np.linalg.norm(self.slope)))
-        R = _EYE * sigma**2 + 2.0 / 9.0 * np.outer(self.bend, self.bend)
-        return Rows(r - self.bend / 3.0, H, R, straight, share)
-
-
-def line(before: Vector, after: Vector, spread: float) -> Line:
-    """Of what a row gains (3,) where the message is older by ``spread`` s, and where it is younger."""
-    return Line(0.5 * (before - after) / spread, 0.5 * (before + after))
-
-
-class Scene(NamedTuple):
-    """What the rows of a message share: matrices (3, 3), vectors (3,).
-
-    ``C`` C_nb, ``C_ng``, ``C_na`` by the master where it tells; ``C_ba`` by the mounting estimated and
-    ``C_fa``, the same, by flexure besides; the arm ``l_a`` m; ``w_eb`` rad/s the rate against the Earth in b.
-    """
-
-    x: Vector
-    now: Instant
-    master: MasterState
-    transfer: TransferConfig
-    C: Matrix
-    C_ng: Matrix
-    C_na: Matrix
-    C_ba: Matrix
-    C_fa: Matrix
-    l_a: Vector
-    w_eb: Vector
-
-    @property
-    def own_rate(self) -> float:
-        """Sigma of what the slave turns by alone, rad/s an axis: flexure, and what is in the rates' noise."""
-        transfer = self.transfer
-        bends = 0.0 if transfer.flexure is None else float(np.max(transfer.flexure / transfer.flexure_time))
-        return math.hypot(transfer.sigma_rate, MARKOV * bends)
-
-    @property
-    def own_change(self) -> float:
-        """Sigma of how fast that changes, rad/s^2, as it is seen over the spread of the delay."""
-        return self.own_rate / (math.sqrt(2.0) * (self.now.spread or 0.5 * CHANGE_S))
-
-
-def scene(x: Vector, now: Instant, master: MasterState, transfer: TransferConfig) -> Scene:
-    """By the nominal state ``x`` (X_SIZE,) at the message's time."""
-    C = dcm_from_quat(x[X_Q : X_Q + 4])
-    C_ba = transfer.C_ab.T @ dcm_from_quat(quat_from_rotvec(-x[place(MOUNTING)]))
-    C_fa = C_ba @ dcm_from_quat(quat_from_rotvec(-x[place(FLEXURE)]))
-    C_ng = azimuth(x, master.lat, master.lon)
-    C_na = C @ C_fa if master.q_ga is None else C_ng @ dcm_from_quat(master.q_ga)
-    l_a = transfer.lever_arm + x[place(LEVER)]
-    w_eb = now.w_b - C.T @ (EARTH_RATE * x[X_C + 6 : X_C + 9])
-    return Scene(x, now, master, transfer, C, C_ng, C_na, C_ba, C_fa, l_a, w_eb)
-
-
-def position_rows(s: Scene) -> Rows:
-    """The slave's position against the master's and the arm, m."""
-    x, m = s.x, s.master
-    C_en = x[X_C : X_C + 9].reshape(3, 3)
-    lat = math.asin(min(1.0, max(-1.0, C_en[2, 2])))
-    lon = math.atan2(C_en[1, 2], C_en[0, 2])
-    between = C_en.T @ (ecef(lat, lon, float(x[X_H])) - ecef(m.lat, m.lon, m.height))
-    C_na = s.C @ s.C_ba
-    arm = C_na @ s.l_a
-    H = np.zeros((3, SIZE))
-    H[:, POSITION] = _EYE
-    H[:, PHI] = -skew(arm)
-    H[:, LEVER] = -C_na
-    H[:, MOUNTING] = -C_na @ skew(s.l_a)
-    H[:, DELAY] = -x[X_V : X_V + 3]
-    return Rows(between - arm, H, _EYE * s.transfer.sigma_position**2)
-
-
-def velocity_rows(s: Scene) -> Rows:
-    """The slave's velocity against the master's and what the arm makes of rotation, m/s."""
-    x, C, l_b = s.x, s.C, s.C_ba @ s.l_a
-    swing = C @ cross(s.w_eb, l_b)
-    turn = C @ skew(s.w_eb)
-    lag = C @ skew(l_b)
-    H = np.zeros((3, SIZE))
-    H[:, VELOCITY] = _EYE
-    H[:, PHI] = -skew(swing)
-    H[:, GYRO_BIAS] = -lag
-    H[:, GYRO_AXES] = -np.einsum("ij,k->ijk", lag, s.now.w_b).reshape(3, 9)
-    H[:, LEVER] = -turn @ s.C_ba
-    H[:, MOUNTING] = -turn @ s.C_ba @ skew(s.l_a)
-    r = x[X_V : X_V + 3] - s.C_ng @ s.master.v_g - swing
-    # of the master's point: without what the arm adds, whose rate may change in that time
-    gained = s.now.a_n - turn @ cross(s.w_eb, l_b)
-    if s.now.spread > 0.0:
-        before, after = s.now.rates
-        away = line(-lag @ before, -lag @ after, s.now.spread)
+    s = np.empty(E_SIZE)
+    i = _X_MOUNTING
+    a, b, c, d = exponential(-x[i], -x[i + 1], -x[i + 2])
+    a, b, c, d = multiply(t[T_Q], t[T_Q + 1], t[T_Q + 2], t[T_Q + 3], a, b, c, d)
+    s[E_BA], s[E_BA + 1], s[E_BA + 2], s[E_BA + 3] = a, b, c, d
+    i = _X_FLEXURE
+    e, f, g, h = exponential(-x[i], -x[i + 1], -x[i + 2])
+    a, b, c, d = multiply(a, b, c, d, e, f, g, h)
+    s[E_FA], s[E_FA + 1], s[E_FA + 2], s[E_FA + 3] = a, b, c, d
+    cosine, sine = _azimuth(x, m[A_PLACE], m[A_PLACE + 1])
+    s[E_TURN], s[E_TURN + 1] = cosine, sine
+    i = A_Q
+    if m[i] == 0.0 and m[i + 1] == 0.0 and m[i + 2] == 0.0 and m[i + 3] == 0.0:
+        a, b, c, d = multiply(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3], a, b, c, d)
     else:
-        away = Line(lag @ s.now.dw_b, _ZERO)
-    rows = Line(gained + away.slope, away.bend).rows(
-        r, H, s.transfer.sigma_velocity, s.now.spread, s.own_change * float(np.linalg.norm(l_b))
-    )
-    return rows._replace(R=rows.R + lag @ lag.T * s.now.sigma_w**2)
+        half = 0.5 * math.atan2(sine, cosine)
+        a, b, c, d = multiply(math.cos(half), 0.0, 0.0, math.sin(half), m[i], m[i + 1], m[i + 2], m[i + 3])
+    s[E_NA], s[E_NA + 1], s[E_NA + 2], s[E_NA + 3] = a, b, c, d
+    for k in range(3):
+        s[E_LEVER + k] = t[T_LEVER + k] + x[_X_LEVER + k]
+    s[E_ARM], s[E_ARM + 1], s[E_ARM + 2] = _turn(s, E_BA, s[E_LEVER], s[E_LEVER + 1], s[E_LEVER + 2])
+    earth = rotate(x[X_Q], -x[X_Q + 1], -x[X_Q + 2], -x[X_Q + 3], x[X_C + 6], x[X_C + 7], x[X_C + 8])
+    for k in range(3):
+        s[E_W + k] = now[I_W + k] - EARTH_RATE * earth[k]
+    return s
 
 
-def attitude_rows(s: Scene) -> Rows:
+@in_place
+def dated(
+    slope: Three, bend: Three, sigma: float, spread: float, own: float, r: Vector, H: Matrix, R: Matrix
+) -> tuple[bool, float]:
+    """Put what the delay does into rows with noise ``sigma``: the best line over three sigma points of it.
+
+    ``slope`` (3,) is what a row gains per second that the message is older by, ``bend`` (3,) how far from a
+    straight line it is at ``spread`` s, sqrt(3) sigmas of the delay, before and after; that is noise.
+    ``own``: sigma an axis of the slope by what the slave alone does: it bends, vibrates, its gyros are noisy.
+
+    Returns whether the rows are of use, being near enough to a line over what is known of the delay, and the
+    share of the gain that they have for the delay. A slope that may be nothing else than the slave's own
+    tells no delay, and to take it for one would find a wrong one ever more surely; then the delay is
+    considered, but not corrected by the row. It is no noise of the row: that would fade over messages, and
+    a delay is the same in all of them.
+    """
+    size = slope[0] * slope[0] + slope[1] * slope[1] + slope[2] * slope[2]
+    share = max(0.0, 1.0 - CHANCE * own * own / size) if size > 0.0 else 0.0
+    bent = math.sqrt(2.0 / 9.0 * (bend[0] * bend[0] + bend[1] * bend[1] + bend[2] * bend[2]))
+    for i in range(3):
+        r[i] -= bend[i] / 3.0
+        H[i, DELAY] = -slope[i]
+        for j in range(3):
+            R[i, j] = 2.0 / 9.0 * bend[i] * bend[j] + (sigma * sigma if i == j else 0.0)
+    return bent < max(sigma, CURVED * spread * math.sqrt(size)), share
+
+
+@in_place
+def _own_change(now: Vector, t: Vector) -> float:
+    """Sigma of how fast the slave's own rate changes, rad/s^2, as it is seen over the spread of the delay."""
+    spread = now[I_SPREAD] if now[I_SPREAD] > 0.0 else 0.5 * CHANGE_S
+    return float(t[T_OWN] / (math.sqrt(2.0) * spread))
+
+
+@kernel
+def position_rows(
+    x: Vector, now: Vector, m: Vector, t: Vector, s: Vector, r: Vector, H: Matrix, R: Matrix
+) -> tuple[bool, float]:
+    """The slave's position against the master's and the arm, m.
+
+    Here and below arguments as `scene`, which makes ``s``. Put residual ``r`` (3,), computed minus measured,
+    ``H`` (3, SIZE), ``R`` (3, 3), in n (rates: in b); the rest as `dated` returns it.
+    """
+    H[:] = 0.0
+    R[:] = 0.0
+    lat = math.asin(min(1.0, max(-1.0, x[X_C + 8])))
+    ax, ay, az = geodetic_to_xyz(lat, math.atan2(x[X_C + 5], x[X_C + 2]), x[X_H])
+    bx, by, bz = geodetic_to_xyz(m[A_PLACE], m[A_PLACE + 1], m[A_PLACE + 2])
+    ax, ay, az = ax - bx, ay - by, az - bz
+    lx, ly, lz = s[E_LEVER], s[E_LEVER + 1], s[E_LEVER + 2]
+    arm = _turn(x, X_Q, s[E_ARM], s[E_ARM + 1], s[E_ARM + 2])
+    for k in range(3):
+        r[k] = x[X_C + k] * ax + x[X_C + 3 + k] * ay + x[X_C + 6 + k] * az - arm[k]
+        e, f, g = _unit(k)
+        H[k, _P + k] = 1.0
+        _put(H, _PHI + k, -1.0, cross(arm[0], arm[1], arm[2], e, f, g))
+        ux, uy, uz = _turn(s, E_BA, e, f, g)
+        _put(H, _LEVER + k, -1.0, _turn(x, X_Q, ux, uy, uz))
+        ux, uy, uz = cross(lx, ly, lz, e, f, g)
+        ux, uy, uz = _turn(s, E_BA, ux, uy, uz)
+        _put(H, _MOUNTING + k, -1.0, _turn(x, X_Q, ux, uy, uz))
+        H[k, DELAY] = -x[X_V + k]
+        R[k, k] = t[T_POSITION] * t[T_POSITION]
+    return True, 1.0
+
+
+@kernel
+def velocity_rows(
+    x: Vector, now: Vector, m: Vector, t: Vector, s: Vector, r: Vector, H: Matrix, R: Matrix
+) -> tuple[bool, float]:
+    """The slave's velocity against the master's and what the arm makes of rotation, m/s."""
+    H[:] = 0.0
+    lx, ly, lz = s[E_LEVER], s[E_LEVER + 1], s[E_LEVER + 2]
+    bx, by, bz = s[E_ARM], s[E_ARM + 1], s[E_ARM + 2]
+    wx, wy, wz = s[E_W], s[E_W + 1], s[E_W + 2]
+    px, py, pz = cross(wx, wy, wz, bx, by, bz)
+    swing = _turn(x, X_Q, px, py, pz)
+    px, py, pz = cross(wx, wy, wz, px, py, pz)
+    inward = _turn(x, X_Q, px, py, pz)
+    cosine, sine = s[E_TURN], s[E_TURN + 1]
+    r[0] = x[X_V] - (cosine * m[A_V] - sine * m[A_V + 1]) - swing[0]
+    r[1] = x[X_V + 1] - (sine * m[A_V] + cosine * m[A_V + 1]) - swing[1]
+    r[2] = x[X_V + 2] - m[A_V + 2] - swing[2]
+    for k in range(3):
+        e, f, g = _unit(k)
+        H[k, _V + k] = 1.0
+        _put(H, _PHI + k, -1.0, cross(swing[0], swing[1], swing[2], e, f, g))
+        ux, uy, uz = cross(bx, by, bz, e, f, g)
+        lag = _turn(x, X_Q, ux, uy, uz)
+        _put(H, _GYRO + k, -1.0, lag)
+        for j in range(3):
+            _put(H, _AXES + 3 * k + j, -now[I_W + j], lag)
+        ux, uy, uz = _turn(s, E_BA, e, f, g)
+        ux, uy, uz = cross(wx, wy, wz, ux, uy, uz)
+        _put(H, _LEVER + k, -1.0, _turn(x, X_Q, ux, uy, uz))
+        ux, uy, uz = cross(lx, ly, lz, e, f, g)
+        ux, uy, uz = _turn(s, E_BA, ux, uy, uz)
+        ux, uy, uz = cross(wx, wy, wz, ux, uy, uz)
+        _put(H, _MOUNTING + k, -1.0, _turn(x, X_Q, ux, uy, uz))
+    # of the master's point: without what the arm adds, whose rate may change in that time
+    spread, i, j = now[I_SPREAD], I_RATES, I_RATES + 3
+    bend = 0.0, 0.0, 0.0
+    px, py, pz = now[I_DW], now[I_DW + 1], now[I_DW + 2]
+    if spread > 0.0:
+        ux, uy, uz = now[i] + now[j], now[i + 1] + now[j + 1], now[i + 2] + now[j + 2]
+        ux, uy, uz = cross(bx, by, bz, -0.5 * ux, -0.5 * uy, -0.5 * uz)
+        bend = _turn(x, X_Q, ux, uy, uz)
+        half = 0.5 / spread
+        px, py = half * (now[j] - now[i]), half * (now[j + 1] - now[i + 1])
+        pz = half * (now[j + 2] - now[i + 2])
+    px, py, pz = cross(bx, by, bz, px, py, pz)
+    px, py, pz = _turn(x, X_Q, px, py, pz)
+    slope = now[I_A] - inward[0] + px, now[I_A + 1] - inward[1] + py, now[I_A + 2] - inward[2] + pz
+    own = _own_change(now, t) * math.sqrt(bx * bx + by * by + bz * bz)
+    straight, share = dated(slope, bend, t[T_VELOCITY], spread, own, r, H, R)
+    noise = now[I_SIGMA] * now[I_SIGMA]
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                R[i, j] += noise * H[i, _GYRO + k] * H[j, _GYRO + k]
+    return straight, share
+
+
+@kernel
+def attitude_rows(
+    x: Vector, now: Vector, m: Vector, t: Vector, s: Vector, r: Vector, H: Matrix, R: Matrix
+) -> tuple[bool, float]:
     """The slave's attitude against the master's and the mounting: rotation vector, rad.
 
     Textbook chapter "Inertial navigation", eqs. (2-161) to (2-167).
     """
-    assert s.master.q_ga is not None
+    H[:] = 0.0
     # from the master's idea of b to the slave's, in b
-    D = s.C_fa @ s.C_na.T @ s.C
-    H = np.zeros((3, SIZE))
-    H[:, PHI] = -_EYE
-    H[:, MOUNTING] = -s.C_na
-    H[:, FLEXURE] = -s.C_na
-    r = s.C @ rotvec_from_quat(quat_from_dcm(D))
-    if s.now.spread > 0.0:
-        earth = s.now.spread * (s.now.w_b - s.w_eb)
-        before, after = s.now.turns
-        away = line(s.C @ (before - earth), -s.C @ (after - earth), s.now.spread)
-    else:
-        away = Line(s.C @ s.w_eb, _ZERO)
-    return away.rows(r, H, s.transfer.sigma_attitude, s.now.spread, s.own_rate)
+    i, j = E_FA, E_NA
+    a, b, c, d = multiply(s[i], s[i + 1], s[i + 2], s[i + 3], s[j], -s[j + 1], -s[j + 2], -s[j + 3])
+    a, b, c, d = multiply(a, b, c, d, x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
+    px, py, pz = logarithm(a, b, c, d)
+    r[0], r[1], r[2] = _turn(x, X_Q, px, py, pz)
+    for k in range(3):
+        e, f, g = _unit(k)
+        H[k, _PHI + k] = -1.0
+        axis = _turn(s, E_NA, e, f, g)
+        _put(H, _MOUNTING + k, -1.0, axis)
+        _put(H, _FLEXURE + k, -1.0, axis)
+    spread, i, j = now[I_SPREAD], I_TURNS, I_TURNS + 3
+    bend = 0.0, 0.0, 0.0
+    px, py, pz = s[E_W], s[E_W + 1], s[E_W + 2]
+    if spread > 0.0:
+        # the Earth's turn is the same before and after
+        ux, uy, uz = 0.5 * (now[i] - now[j]), 0.5 * (now[i + 1] - now[j + 1]), 0.5 * (now[i + 2] - now[j + 2])
+        bend = _turn(x, X_Q, ux, uy, uz)
+        half = 0.5 / spread
+        px += half * (now[i] + now[j]) - now[I_W]
+        py += half * (now[i + 1] + now[j + 1]) - now[I_W + 1]
+        pz += half * (now[i + 2] + now[j + 2]) - now[I_W + 2]
+    slope = _turn(x, X_Q, px, py, pz)
+    return dated(slope, bend, t[T_ATTITUDE], spread, t[T_OWN], r, H, R)
 
 
-def rate_rows(s: Scene) -> Rows:
+@kernel
+def rate_rows(
+    x: Vector, now: Vector, m: Vector, t: Vector, s: Vector, r: Vector, H: Matrix, R: Matrix
+) -> tuple[bool, float]:
     """The slave's rate against the master's, rad/s in b."""
-    assert s.master.w_ia_a is not None
-    w, w_a = s.now.w_b, s.master.w_ia_a
-    turn = s.C_ba @ skew(w_a)
-    H = np.zeros((3, SIZE))
-    H[:, GYRO_BIAS] = -_EYE
-    H[:, GYRO_AXES] = -np.kron(_EYE, w)
-    H[:, MOUNTING] = -turn
-    H[:, FLEXURE] = -turn
-    H[:, FLEXURE_RATE] = -s.C_ba
-    if s.now.spread > 0.0:
-        before, after = s.now.rates
-        away = line(-before, -after, s.now.spread)
-    else:
-        away = Line(s.now.dw_b, _ZERO)
-    r = w - s.C_fa @ w_a - s.C_ba @ s.x[place(FLEXURE_RATE)]
-    sigma = math.hypot(s.transfer.sigma_rate, s.now.sigma_w)
-    return away.rows(r, H, sigma, s.now.spread, s.own_change)
+    H[:] = 0.0
+    wx, wy, wz = m[A_W], m[A_W + 1], m[A_W + 2]
+    i = _X_RATE
+    there, bends = _turn(s, E_FA, wx, wy, wz), _turn(s, E_BA, x[i], x[i + 1], x[i + 2])
+    for k in range(3):
+        e, f, g = _unit(k)
+        r[k] = now[I_W + k] - there[k] - bends[k]
+        H[k, _GYRO + k] = -1.0
+        for j in range(3):
+            H[k, _AXES + 3 * k + j] = -now[I_W + j]
+        _put(H, _RATE + k, -1.0, _turn(s, E_BA, e, f, g))
+        ux, uy, uz = cross(wx, wy, wz, e, f, g)
+        turn = _turn(s, E_BA, ux, uy, uz)
+        _put(H, _MOUNTING + k, -1.0, turn)
+        _put(H, _FLEXURE + k, -1.0, turn)
+    spread, i, j = now[I_SPREAD], I_RATES, I_RATES + 3
+    bend, slope = (0.0, 0.0, 0.0), (now[I_DW], now[I_DW + 1], now[I_DW + 2])
+    if spread > 0.0:
+        half = 0.5 / spread
+        bend = -0.5 * (now[i] + now[j]), -0.5 * (now[i + 1] + now[j + 1]), -0.5 * (now[i + 2] + now[j + 2])
+        slope = half * (now[j] - now[i]), half * (now[j + 1] - now[i + 1]), half * (now[j + 2] - now[i + 2])
+    sigma = math.hypot(t[T_RATE], now[I_SIGMA])
+    return dated(slope, bend, sigma, spread, _own_change(now, t), r, H, R)

@@ -14,9 +14,8 @@ from nav.events import TransferProgress
 from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
 from nav.transfer.kernels import S_DT, S_FB, S_WB
 from nav.transfer.matching import Matching
-from nav.transfer.model import place
 from nav.transfer.slave import Slave
-from nav.transfer.states import MOUNTING, NAMES, PHI, POSITION, SIZE, VELOCITY
+from nav.transfer.states import MOUNTING, NAMES, PHI, POSITION, SIZE, VELOCITY, place
 from nav.types import MasterState
 
 Vector = NDArray[np.float64]

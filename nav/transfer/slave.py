@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 
 from nav.align.types import AlignConfig, TransferConfig
 from nav.transfer.covariance import SEGMENT_NS, advance, noise
+from nav.transfer.instant import CHANGE_S, find, instant, part_over
 from nav.transfer.kernels import S_DT, S_FB, S_SIZE, run
-from nav.transfer.model import CHANGE_S, Instant, place
-from nav.transfer.states import DELAY, GYRO_AXES, GYRO_BIAS
+from nav.transfer.states import DELAY
 from nav.types import ImuSample
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-RATE_S: Final = 0.005  # over which the rate at an instant is taken
 SPREAD: Final = 3.0**0.5  # sigmas of the delay that a message's time may be off by
 _MARGIN_NS: Final = 150_000_000  # kept behind the anchor for that
 _BLOCK: Final = 4096
@@ -88,13 +87,6 @@ class Slave:
         self._t, self._rows = t, rows
         self._index, self._count, self._first = self._index - low, n, max(0, self._first - low)
 
-    def _find(self, t_ns: int) -> tuple[int, float]:
-        """The sample in which ``t_ns`` lies, and the share of it that is over by then."""
-        k = int(np.searchsorted(self._t[: self._count], t_ns))
-        k = min(k, self._count - 1)
-        share = 1.0 - (int(self._t[k]) - t_ns) * 1e-9 / float(self._rows[k, 0])
-        return k, min(1.0, max(0.0, share))
-
     def covers(self, t_ns: int) -> bool:
         """Whether there are samples from `ahead_ns` before ``t_ns`` to as long after it."""
         ahead = self.ahead_ns
@@ -105,7 +97,8 @@ class Slave:
     def begin(self, t_ns: int, x: Vector, P: Matrix) -> None:
         """Stand at ``t_ns``, which is covered, with this state."""
         self.x, self.P = x, P
-        self._index, self._share = self._find(t_ns)
+        self._index = find(self._t, self._count, t_ns)
+        self._share = part_over(self._t, self._rows, self._index, t_ns)
         self.anchor_ns = t_ns
         self._sums[:] = 0.0
 
@@ -156,33 +149,7 @@ class Slave:
             return SPREAD * self._transfer.latency
         return SPREAD * math.sqrt(max(0.0, float(self.P[DELAY, DELAY])))
 
-    def instant(self, t_ns: int) -> Instant:
-        """How the slave moves at ``t_ns``, which is covered and `ahead_ns` more; biases by ``x``."""
-        k, _ = self._find(t_ns)
-        half = round(max(0.5 * RATE_S, float(self._rows[k, 0])) * 1e9)
-        some = round(CHANGE_S * 1e9)
-
-        def rate(middle: int, reach: int) -> Vector:
-            return self._turned(middle - reach, middle + reach) / (2e-9 * reach)
-
-        w = rate(t_ns, half)
-        dw = (rate(t_ns + some // 2, some // 2) - rate(t_ns - some // 2, some // 2)) / CHANGE_S
-        spread, turns, rates = self._spread, np.zeros((2, 3)), np.zeros((2, 3))
-        if spread < half * 1e-9:
-            spread = 0.0
-        for i, sign in enumerate((-1, 1) if spread else ()):
-            there = t_ns + sign * round(spread * 1e9)
-            turns[i] = self._turned(min(t_ns, there), max(t_ns, there))
-            reach = min(half, self.newest_ns - there) if sign > 0 else half
-            rates[i] = (rate(there, reach) if reach > 0 else w) - w
-        sigma_w = self._config.angle_random_walk / math.sqrt(2e-9 * half)
-        return Instant(w, dw, self._a_n, sigma_w, spread, turns, rates)
-
-    def _turned(self, first_ns: int, last_ns: int) -> Vector:
-        """Angle (3,), rad in b, corrected, turned between two times that are covered."""
-        i, begin = self._find(first_ns)
-        k, end = self._find(last_ns)
-        rows = self._rows
-        turn = np.sum(rows[i : k + 1, 1:4], axis=0) - begin * rows[i, 1:4] - (1.0 - end) * rows[k, 1:4]
-        turn = turn - self.x[place(GYRO_BIAS)] * (last_ns - first_ns) * 1e-9
-        return np.asarray(turn - self.x[place(GYRO_AXES)].reshape(3, 3) @ turn)
+    def instant(self, t_ns: int) -> Vector:
+        """How the slave moves at ``t_ns``, which is covered and `ahead_ns` more: `nav.transfer.instant`."""
+        arw = self._config.angle_random_walk
+        return instant(self.x, self._t, self._rows, self._count, t_ns, self._spread, arw, self._a_n)

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from nav import rotation as rot
 from nav.align.handover import hand_over
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage, TransferConfig
-from nav.earth import curvature, gravity_g, position_matrix
+from nav.earth import gravity_g, position_matrix
 from nav.filter.kalman import GATES
 from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
-from nav.strapdown.mechanize import moved
 from nav.transfer import model
-from nav.transfer.correction import Use, take, weigh
+from nav.transfer.correction import Use, correct, take, weigh
 from nav.transfer.matching import Matching
+from nav.transfer.moved import moved
 from nav.transfer.report import Report, ratios, report
 from nav.transfer.slave import Slave
 from nav.transfer.states import (
@@ -33,6 +33,7 @@ from nav.transfer.states import (
     X_ERRORS,
     X_REST,
     X_SIZE,
+    place,
 )
 from nav.transfer.watch import AGREE, CAUSES, Watch
 from nav.types import ImuFlag, ImuSample, MasterState, Sample
@@ -43,7 +44,6 @@ Matrix = NDArray[np.float64]
 REPORT_NS: Final = 100_000_000
 AHEAD_NS: Final = 100_000_000
 """A message that is dated further ahead of the newest inertial sample is refused."""
-CALM: Final = 1.0  # m/s^2 of the arm's swing up to which master and slave feel the same
 _MISSING_NS: Final = 100_000_000  # of inertial samples: a longer silence is no alignment any more
 _UNKNOWN: Final = np.eye(3) * math.pi**2
 _ALL: Final = np.full(3, Use.COPY, dtype=np.int64)
@@ -58,7 +58,9 @@ class Transfer:
         self.config = config
         self.transfer = config.transfer or TransferConfig()
         self.matching = matching
+        self.told = model.told(self.transfer)
         self.mask = matching.mask
+        self.rows = np.empty(3), np.empty((3, SIZE)), np.empty((3, 3))  # residual, H, R of a kind
         self.kinds = tuple(
             (kind, np.array(uses, dtype=np.int64), own, make)
             for kind, uses, own, make in (
@@ -137,18 +139,18 @@ class Transfer:
         x[X_REST : X_REST + 3] = C_gb.T @ -gravity_g(m.lat, m.height)
         P = model.initial_covariance(self.config, transfer)
         slave.begin(m.t_ns, x, P)
-        scene = model.scene(x, slave.instant(m.t_ns), m, transfer)
-        for rows, own in (
-            (model.attitude_rows(scene), PHI),
-            (model.velocity_rows(scene), VELOCITY),
-            (model.position_rows(scene), POSITION),
+        now, seen, dx = slave.instant(m.t_ns), model.master(m), np.zeros(SIZE)
+        scene = model.scene(x, now, seen, self.told)
+        r, H, R = self.rows
+        for make, own in (
+            (model.attitude_rows, PHI),
+            (model.velocity_rows, VELOCITY),
+            (model.position_rows, POSITION),
         ):
-            dx = np.zeros(SIZE)
-            K, W, S, r, _ = weigh(
-                P, rows.H, rows.r, rows.R, _ALL, own.start, self.mask, rows.share, dx, _CAUSES
-            )
-            take(P, dx, K, W, S, r)
-            correct(x, dx)
+            _, share = make(x, now, seen, self.told, scene, r, H, R)
+            K, W, S, e, _ = weigh(P, H, r, R, _ALL, own.start, self.mask, share, dx, _CAUSES)
+            take(P, dx, K, W, S, e)
+        correct(x, dx)
         slave.P = P
         slave.run_on()
         self.start_ns = m.t_ns
@@ -160,37 +162,29 @@ class Transfer:
         before = slave.x[X_Q : X_Q + 4].copy()
         slave.advance(t_ns)
         dx = np.zeros(SIZE)
-        scene = model.scene(slave.x, slave.instant(t_ns), m, self.transfer)
-        self._moved(scene, before)
+        now, seen = slave.instant(t_ns), model.master(m)
+        scene = model.scene(slave.x, now, seen, self.told)
+        self._moved(before, m, now, seen, scene)
+        r, H, R = self.rows
         for kind, uses, own, make in self.kinds:
-            rows = make(scene)
-            if not rows.straight:
+            straight, share = make(slave.x, now, seen, self.told, scene, r, H, R)
+            if not straight:
                 continue
-            K, W, S, r, whitened = weigh(
-                slave.P, rows.H, rows.r, rows.R, uses, own.start, self.mask, rows.share, dx, _CAUSES
-            )
-            passed = float(whitened[:, 0] @ whitened[:, 0]) <= GATES[len(r)]
+            K, W, S, e, whitened = weigh(slave.P, H, r, R, uses, own.start, self.mask, share, dx, _CAUSES)
+            passed = float(whitened[:, 0] @ whitened[:, 0]) <= GATES[len(e)]
             if self.watch.see(kind, t_ns, passed, whitened) and passed:
-                take(slave.P, dx, K, W, S, r)
+                take(slave.P, dx, K, W, S, e)
         correct(slave.x, dx)
         slave.run_on()
 
-    def _moved(self, scene: model.Scene, before: Vector) -> None:
+    def _moved(self, before: Vector, m: MasterState, now: Vector, seen: Vector, scene: Vector) -> None:
         """Tell the watch how master and slave moved since the last message."""
-        last, m, w = self.last, scene.master, scene.w_eb
+        last, slave = self.last, self.slave
         if last is None or last.q_ga is None or m.q_ga is None or m.t_ns <= last.t_ns:
             return
-        C_ba = self.transfer.C_ab.T
-        turn = rot.rotvec_from_quat(rot.quat_multiply(rot.quat_conjugate(last.q_ga), m.q_ga))
-        now = scene.x[X_Q : X_Q + 4]
-        turned = rot.rotvec_from_quat(rot.quat_multiply(rot.quat_conjugate(before), now))
-        gained = (m.v_g - last.v_g) / ((m.t_ns - last.t_ns) * 1e-9) - gravity_g(m.lat, m.height)
-        force = C_ba @ rot.quat_rotate(rot.quat_conjugate(m.q_ga), gained)
-        l_b = scene.C_ba @ scene.l_a
-        swing = rot.cross(scene.now.dw_b, l_b) + rot.cross(w, rot.cross(w, l_b))
-        # how it swings is told by gyros that may be the wrong ones
-        calm = float(np.linalg.norm(swing)) < CALM
-        self.watch.moved(C_ba @ turn, turned, force * calm, self.slave.force)
+        seconds = (m.t_ns - last.t_ns) * 1e-9
+        turn, turned, force = moved(slave.x, before, model.master(last), seen, seconds, now, scene, self.told)
+        self.watch.moved(turn, turned, force, slave.force)
 
     # ---- what it comes to ----------------------------------------------------------------------
 
@@ -234,18 +228,6 @@ def _finite(m: MasterState) -> bool:
     return math.isfinite(m.lat + m.lon + m.height + sum(float(np.sum(p)) for p in parts))
 
 
-def correct(x: Vector, dx: Vector) -> None:
-    """Take the estimated errors ``dx`` (SIZE,) out of the nominal state ``x`` (X_SIZE,), in place."""
-    x[X_Q : X_Q + 4] = rot.quat_normalize(rot.quat_multiply(rot.quat_from_rotvec(dx[PHI]), x[X_Q : X_Q + 4]))
-    x[X_V : X_V + 3] -= dx[VELOCITY]
-    east, north, up = -dx[POSITION]
-    kxx, kxy, kyy = curvature(x[X_C + 6], x[X_C + 7], x[X_C + 8], float(x[X_H]))
-    angle = np.array([-kxy * east - kyy * north, kxx * east + kxy * north, 0.0])
-    x[X_C : X_C + 9] = moved(x[X_C : X_C + 9].reshape(3, 3), angle).ravel()
-    x[X_H] += up
-    x[X_ERRORS:X_REST] -= dx[MOVED:]
-
-
 def stage(matching: Matching) -> Stage[Transfer]:
     """The stage of a matching."""
 
@@ -278,7 +260,7 @@ def finish(state: Transfer) -> NavInit:
     T[:, :15] = np.diag([*(-1.0,) * 6, *(1.0,) * 3, *(-1.0,) * 6])
     T[ACCEL_BIAS, ACCEL_AXES] = -turned
     biases = x[X_ERRORS : X_ERRORS + 6].copy()
-    biases[3:] += turned @ x[model.place(ACCEL_AXES)]
+    biases[3:] += turned @ x[place(ACCEL_AXES)]
     P = T @ said.P @ T.T
-    place = (said.lat, said.lon, said.height)
-    return hand_over(state.slave.newest_ns, place, said.v_g, said.q_gb, biases, P, None, None)
+    there = (said.lat, said.lon, said.height)
+    return hand_over(state.slave.newest_ns, there, said.v_g, said.q_gb, biases, P, None, None)

@@ -52,3 +52,8 @@ X_ERRORS: Final = 18
 X_REST: Final = X_ERRORS + SIZE - MOVED
 """Specific force (3,) in b at which the accelerometers' axes make no error."""
 X_SIZE: Final = X_REST + 3
+
+
+def place(states: slice) -> slice:
+    """Where the nominal values of ``states`` (from `GYRO_BIAS` on) stand in the nominal state."""
+    return slice(X_ERRORS + states.start - MOVED, X_ERRORS + states.stop - MOVED)

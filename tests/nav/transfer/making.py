@@ -18,7 +18,8 @@ from nav import rotation as rot
 from nav.align.types import AlignConfig, TransferConfig, advance, begin, result
 from nav.errors.model import error_dynamics
 from nav.filter import states as house
-from nav.transfer import alignment
+from nav.transfer import alignment, model
+from nav.transfer.instant import I_SIZE, I_W
 from nav.transfer.states import SIZE
 from nav.types import ImuSample, MasterState
 
@@ -259,6 +260,16 @@ def dynamics(C_nb, f_b, w_b, v_n, frame, k, rest):
     whole = error_dynamics(C_nb, f_b, w_b, v_n, frame.w_ie_n, frame.w_en_n, k, gradient, rest)
     F[: len(kept), : len(kept)] = whole[np.ix_(kept, kept)]
     return F
+
+
+def shown(kind, x, w_b, m, transfer):
+    """Residual (3,) and H (3, SIZE) of a kind of rows, where the slave turns evenly by ``w_b``."""
+    now = np.zeros(I_SIZE)
+    now[I_W : I_W + 3] = w_b
+    r, H, R = np.empty(3), np.empty((3, SIZE)), np.empty((3, 3))
+    seen, told = model.master(m), model.told(transfer)
+    kind(x, now, seen, told, model.scene(x, now, seen, told), r, H, R)
+    return r, H
 
 
 def config(s, **changes):

@@ -9,15 +9,14 @@ import pytest
 
 from nav import rotation as rot
 from nav.align.types import TransferConfig
-from nav.earth import curvature
+from nav.earth import curvature, position_matrix
 from nav.strapdown.mechanize import frame_rates
 from nav.transfer import matching, model
 from nav.transfer.bound import bound, whole
-from nav.transfer.model import Instant
 from nav.transfer.stage import Transfer
 from nav.transfer.states import ACCEL_BIAS, GYRO_BIAS, MOUNTING, PHI, SIZE, VELOCITY, X_REST, X_SIZE
 from nav.types import MasterState
-from tests.nav.transfer.making import Set, config, dynamics, fly, s_turns, straight
+from tests.nav.transfer.making import Set, config, dynamics, fly, s_turns, shown, straight
 
 
 def ideal(s):
@@ -93,15 +92,14 @@ def observed(which, attitudes):
         C = rot.dcm_from_quat(q)
         x = np.zeros(X_SIZE)
         x[0:4], x[4:7], x[16] = q, (60.0, 190.0, 0.0), 3000.0
-        x[7:16] = model.position_matrix(0.6, 0.3).ravel()
+        x[7:16] = position_matrix(0.6, 0.3).ravel()
         x[X_REST : X_REST + 3] = C.T @ [0.0, 0.0, 9.8]
         frame = frame_rates(x[13:16], 3000.0, x[4:7])
         k = curvature(*x[13:16].tolist(), 3000.0)
         F = dynamics(C, C.T @ [0.0, 0.0, 9.8], np.zeros(3), x[4:7], frame, k, x[X_REST : X_REST + 3])
-        still = Instant(np.zeros(3), np.zeros(3), np.zeros(3), 0.0, 0.0, np.zeros((2, 3)), np.zeros((2, 3)))
         m = MasterState(0, 0.6, 0.3, 3000.0, x[4:7], q, None, None, *(np.ones(3),) * 3, True, "")
-        scene = model.scene(x, still, m, transfer)
-        H = [model.velocity_rows(scene).H] + ([model.attitude_rows(scene).H] if any(which.attitude) else [])
+        kinds = [model.velocity_rows] + ([model.attitude_rows] if any(which.attitude) else [])
+        H = [shown(kind, x, np.zeros(3), m, transfer)[1] for kind in kinds]
         rows = np.concatenate(H)[:, keep] * unit[keep]
         rows[:3] /= unit[VELOCITY.start]
         A = (F[np.ix_(keep, keep)] * unit[keep] / unit[keep][:, None]) * scale

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nav.transfer.model import Line
+from nav.transfer.model import dated
 from nav.transfer.states import DELAY, SIZE
 
 SIGMA, SPREAD, OWN = 1e-3, 0.015, 0.1
@@ -13,9 +13,10 @@ R = SIGMA**2 * np.eye(3)
 
 
 def rows(slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    found = Line(slope, np.zeros(3)).rows(np.zeros(3), np.zeros((3, SIZE)), SIGMA, SPREAD, OWN)
-    assert found.straight
-    return found.H[:, DELAY], found.R, found.share
+    r, H, noise = np.zeros(3), np.zeros((3, SIZE)), np.empty((3, 3))
+    straight, share = dated(tuple(slope.tolist()), (0.0, 0.0, 0.0), SIGMA, SPREAD, OWN, r, H, noise)
+    assert straight
+    return H[:, DELAY], noise, share
 
 
 def test_a_slope_that_the_slave_makes_alone_tells_no_delay_and_is_no_noise() -> None:

@@ -7,23 +7,40 @@ import pytest
 
 from nav import rotation as rot
 from nav.align.types import TransferConfig
-from nav.earth import position_matrix
+from nav.earth import EARTH_RATE, ecef, geodetic, gravity_g, position_angles, position_matrix
 from nav.strapdown.mechanize import NavState, update
 from nav.transfer import model
+from nav.transfer.correction import correct
+from nav.transfer.instant import (
+    I_A,
+    I_DW,
+    I_RATES,
+    I_SIGMA,
+    I_SIZE,
+    I_SPREAD,
+    I_TURNS,
+    I_W,
+    instant,
+)
 from nav.transfer.kernels import S_DT, S_FB, S_SIZE, S_WB, run
-from nav.transfer.model import Instant
-from nav.transfer.stage import correct
+from nav.transfer.moved import moved
 from nav.transfer.states import (
     ACCEL_AXES,
     ACCEL_BIAS,
     DELAY,
+    FLEXURE,
+    FLEXURE_RATE,
     GYRO_AXES,
     GYRO_BIAS,
+    LEVER,
+    MOUNTING,
     SIZE,
     X_REST,
     X_SIZE,
+    place,
 )
 from nav.types import MasterState
+from tests.nav.transfer.making import shown
 
 RNG = np.random.default_rng(7)
 
@@ -56,13 +73,13 @@ def test_kernel_is_the_readable_update() -> None:
     nav = NavState(x[0:4], x[4:7], x[7:16].reshape(3, 3), float(x[16]))
     sums = np.zeros(S_SIZE)
     turned, gained = np.zeros(3), np.zeros(3)
-    G = np.eye(3) + x[model.place(GYRO_AXES)].reshape(3, 3)
-    A = np.eye(3) + x[model.place(ACCEL_AXES)].reshape(3, 3)
+    G = np.eye(3) + x[place(GYRO_AXES)].reshape(3, 3)
+    A = np.eye(3) + x[place(ACCEL_AXES)].reshape(3, 3)
     for i, share in ((1, 0.7), (2, 1.0), (3, 1.0), (4, 0.4)):
         dt = share * rows[i, 0]
-        turn = np.linalg.solve(G, share * rows[i, 1:4] - x[model.place(GYRO_BIAS)] * dt)
+        turn = np.linalg.solve(G, share * rows[i, 1:4] - x[place(GYRO_BIAS)] * dt)
         rest = x[X_REST:] * dt
-        push = np.linalg.solve(A, share * rows[i, 4:7] - x[model.place(ACCEL_BIAS)] * dt - rest) + rest
+        push = np.linalg.solve(A, share * rows[i, 4:7] - x[place(ACCEL_BIAS)] * dt - rest) + rest
         nav = update(nav, turn[None], push[None], dt)
         turned, gained = turned + turn, gained + push
     run(x, rows, 1, 0.3, 4, 0.4, sums)
@@ -85,7 +102,7 @@ def test_rows_are_the_derivatives_of_the_residuals(make) -> None:
     x, w = state(), np.array([0.02, 0.5, -0.03])
     # the master as the slave sees it, so that residuals are small, as linear rows want them
     C = rot.dcm_from_quat(x[0:4])
-    C_ab = rot.dcm_from_quat(rot.quat_from_rotvec(x[model.place(model.MOUNTING)])) @ built
+    C_ab = rot.dcm_from_quat(rot.quat_from_rotvec(x[place(MOUNTING)])) @ built
     C_gn = rot.dcm_from_quat(rot.quat_from_rotvec(np.array([0.0, 0.0, 0.2])))
     q_ga = rot.quat_from_dcm(C_gn @ C @ C_ab.T)
     m = MasterState(0, 0.6, 0.3, 2999.0, C_gn @ x[4:7], q_ga, C_ab @ w, None, *(np.ones(3),) * 3, True, "")
@@ -94,17 +111,111 @@ def test_rows_are_the_derivatives_of_the_residuals(make) -> None:
         """At the state with these errors taken out, which the rate feels too."""
         y = x.copy()
         correct(y, dx)
-        felt = w + dx[GYRO_BIAS] + dx[GYRO_AXES].reshape(3, 3) @ w
-        now = Instant(felt, np.zeros(3), np.zeros(3), 0.0, 0.0, np.zeros((2, 3)), np.zeros((2, 3)))
-        return make(model.scene(y, now, m, transfer))
+        return shown(make, y, w + dx[GYRO_BIAS] + dx[GYRO_AXES].reshape(3, 3) @ w, m, transfer)
 
-    H = rows(np.zeros(SIZE)).H
+    H = rows(np.zeros(SIZE))[1]
     for k in range(SIZE):
         if k == DELAY:
             continue
         step = np.zeros(SIZE)
         step[k] = 1e-4
         # what is taken out lowers the residual by its row
-        difference = (rows(-step).r - rows(step).r) / 2e-4
+        difference = (rows(-step)[0] - rows(step)[0]) / 2e-4
         # rows hold to first order in the residual's own angles, of some mrad
         assert difference == pytest.approx(H[:, k], abs=0.02 * max(1.0, float(np.abs(H[:, k]).max()))), k
+
+
+def test_nothing_is_left_where_the_master_is_as_the_slave_thinks() -> None:
+    """Arm, mounting and bend by matrices: residuals vanish but for the level's turn along the arm, 1e-6.
+
+    Four metres are a millionth of the Earth's radius, by which the master's vertical is another.
+    """
+    built = rot.dcm_from_euler(0.3, 0.2, -0.1)
+    transfer = TransferConfig(lever_arm=np.array([4.0, -1.0, 0.5]), C_ab=built)
+    x, w = state(), np.array([0.02, 0.5, -0.03])
+    C, C_en = rot.dcm_from_quat(x[0:4]), x[7:16].reshape(3, 3)
+    C_ba = built.T @ rot.dcm_from_quat(rot.quat_from_rotvec(-x[place(MOUNTING)]))
+    C_fa = C_ba @ rot.dcm_from_quat(rot.quat_from_rotvec(-x[place(FLEXURE)]))
+    arm = C_ba @ (transfer.lever_arm + x[place(LEVER)])
+    lat, lon, wander = position_angles(C_en)
+    there = ecef(lat, lon, x[16]) - C_en @ C @ arm
+    lat, lon, height = (float(part) for part in geodetic(there))
+    C_gn = rot.dcm_from_quat(rot.quat_from_rotvec(np.array([0.0, 0.0, wander])))
+    v = C_gn @ (x[4:7] - C @ rot.cross(w - C.T @ (EARTH_RATE * C_en[2]), arm))
+    w_a = C_fa.T @ (w - C_ba @ x[place(FLEXURE_RATE)])
+    q_ga = rot.quat_from_dcm(C_gn @ C @ C_fa)
+    m = MasterState(0, lat, lon, height, v, q_ga, w_a, None, *(np.ones(3),) * 3, True, "")
+    for kind, largest in (
+        (model.position_rows, 1e-8),
+        (model.velocity_rows, 2e-6 * float(np.linalg.norm(v))),
+        (model.attitude_rows, 2e-6),
+        (model.rate_rows, 1e-15),
+    ):
+        r, _ = shown(kind, x, w, m, transfer)
+        assert np.all(np.abs(r) < largest), kind
+
+
+def test_an_instant_is_what_the_samples_say() -> None:
+    """Of a rate that grows evenly, in samples of 4 ms: means over even spans are exact; biases come off."""
+    x = np.zeros(X_SIZE)
+    x[place(GYRO_BIAS)] = 1e-3, -2e-3, 3e-3
+    x[place(GYRO_AXES)] = 1e-3 * np.arange(9)
+    M = x[place(GYRO_AXES)].reshape(3, 3)
+    w, dw, dt = np.array([0.3, -0.1, 0.2]), np.array([2.0, 1.0, -3.0]), 0.004
+    t = dt * np.arange(1, 41)
+    mean = w + np.outer(t - 0.5 * dt - 0.08, dw)
+    rows = np.column_stack([np.full(40, dt), (mean + x[place(GYRO_BIAS)]) * dt, np.zeros((40, 3))])
+    a_n = np.array([1.0, 2.0, 3.0])
+    t_ns = np.round(t * 1e9).astype(np.int64)
+    now = instant(x, t_ns, rows, 40, 80_000_000, 0.02, 1e-4, a_n)
+    kept = np.eye(3) - M
+    assert now[I_W : I_W + 3] == pytest.approx(kept @ w, rel=1e-12)
+    assert now[I_DW : I_DW + 3] == pytest.approx(kept @ dw, rel=1e-9)
+    assert now[I_A : I_A + 3] == pytest.approx(a_n)
+    # a sample long to either side: 8 ms
+    assert now[I_SIGMA] == pytest.approx(1e-4 / np.sqrt(0.008), rel=1e-12)
+    assert now[I_SPREAD] == pytest.approx(0.02)
+    for k, sign in enumerate((-1.0, 1.0)):
+        turn, rate = now[I_TURNS + 3 * k :][:3], now[I_RATES + 3 * k :][:3]
+        assert turn == pytest.approx(kept @ (w * 0.02 + sign * dw * 0.02**2 / 2.0), rel=1e-9)
+        assert rate == pytest.approx(kept @ (sign * dw * 0.02), rel=1e-9)
+
+
+def test_both_sides_tell_how_they_moved() -> None:
+    """Turned between two messages, and the force felt, from the master and from the slave, in b."""
+    built = rot.dcm_from_euler(0.3, 0.2, -0.1)
+    transfer = TransferConfig(lever_arm=np.array([0.4, -0.1, 0.5]), C_ab=built)
+    x, turn = state(), np.array([0.02, -0.01, 0.03])
+    before = rot.quat_multiply(x[0:4], rot.quat_from_rotvec(-turn))
+    q, q_before = (rot.quat_multiply(one, rot.quat_from_dcm(built.T)) for one in (x[0:4], before))
+    v, gained, seconds = np.array([60.0, 180.0, -3.0]), np.array([0.3, -0.2, 0.1]), 0.2
+    here = (0.6, 0.3, 3000.0)
+    last = MasterState(0, *here, v, q_before, None, None, *(np.ones(3),) * 3, True, "")
+    m, t = model.master(last._replace(v_g=v + gained, q_ga=q)), model.told(transfer)
+    now = np.zeros(I_SIZE)
+    scene = model.scene(x, now, m, t)
+    told, own, force = moved(x, before, model.master(last), m, seconds, now, scene, t)
+    assert own == pytest.approx(turn, abs=1e-12)
+    assert told == pytest.approx(turn, abs=1e-12)
+    expected = gained / seconds - gravity_g(0.6, 3000.0)
+    assert force == pytest.approx(rot.dcm_from_quat(x[0:4]).T @ expected, rel=1e-12)
+    now[I_DW] = 10.0  # half a metre away, this is 5 m/s^2
+    assert not np.any(moved(x, before, model.master(last), m, seconds, now, scene, t)[2])
+
+
+def test_what_is_found_is_taken_out() -> None:
+    """Attitude by ``exp(phi)``, place by the curvature's turn, the rest by differences; 1e-12."""
+    x = state()
+    dx = RNG.standard_normal(SIZE) * 1e-3
+    y = x.copy()
+    correct(y, dx)
+    assert y[0:4] == pytest.approx(rot.quat_multiply(rot.quat_from_rotvec(dx[6:9]), x[0:4]), abs=1e-15)
+    assert y[4:7] == pytest.approx(x[4:7] - dx[3:6])
+    C_en = x[7:16].reshape(3, 3)
+    lat, lon, _ = position_angles(C_en)
+    lat_after, lon_after, _ = position_angles(y[7:16].reshape(3, 3))
+    way = ecef(lat_after, lon_after, y[16]) - ecef(lat, lon, x[16])
+    # rounding of coordinates of 6e6 m; level and height part at second order, 1e-6 m^2 of 6e6 m
+    assert C_en.T @ way == pytest.approx(-dx[0:3], abs=1e-8)
+    assert y[18:X_REST] == pytest.approx(x[18:X_REST] - dx[9:], rel=1e-12)
+    assert np.array_equal(y[X_REST:], x[X_REST:])

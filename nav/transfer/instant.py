@@ -1,0 +1,127 @@
+"""How the slave moves at a message's time: kept samples looked at around it."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nav.jit import in_place, kernel
+from nav.transfer.states import GYRO_AXES, GYRO_BIAS, place
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+RATE_S: Final = 0.005
+"""Over which the rate at an instant is taken."""
+CHANGE_S: Final = 0.02
+"""Over which the change of the rate at an instant is taken."""
+
+# Places in what `instant` makes.
+I_W: Final = 0  # rate in b against inertial space, corrected, rad/s, 3
+I_DW: Final = 3  # its change, rad/s^2, 3
+I_A: Final = 6  # rate of v_n, m/s^2, 3
+I_TURNS: Final = 9  # turned between it and the spread earlier, and as much later, in b, rad, 3 + 3
+I_RATES: Final = 15  # rate at these times, less that at the instant, rad/s, 3 + 3
+I_SIGMA: Final = 21  # of the noise of the rate, rad/s
+I_SPREAD: Final = 22  # sqrt(3) sigma of the delay, s; zero where that is shorter than a rate takes
+I_SIZE: Final = 23
+
+_BIAS: Final = place(GYRO_BIAS).start
+_AXES: Final = place(GYRO_AXES).start
+
+
+@kernel
+def find(t_ns: Times, count: int, at_ns: int) -> int:
+    """The sample in which a time lies, of ``count`` that end at ``t_ns``: the last for what is later."""
+    low, high = 0, count - 1
+    while low < high:
+        middle = (low + high) // 2
+        if t_ns[middle] < at_ns:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@in_place
+def part_over(t_ns: Times, rows: Matrix, k: int, at_ns: int) -> float:
+    """How much of sample ``k`` is over at a time in it."""
+    return float(min(1.0, max(0.0, 1.0 - (t_ns[k] - at_ns) * 1e-9 / rows[k, 0])))
+
+
+@kernel
+def turned(
+    x: Vector, t_ns: Times, rows: Matrix, count: int, first_ns: int, last_ns: int
+) -> tuple[float, float, float]:
+    """Angle, rad in b, corrected by ``x`` (X_SIZE,), turned between two times that are covered."""
+    i, k = find(t_ns, count, first_ns), find(t_ns, count, last_ns)
+    begin, end = part_over(t_ns, rows, i, first_ns), part_over(t_ns, rows, k, last_ns)
+    seconds = (last_ns - first_ns) * 1e-9
+    a, b, c = -x[_BIAS] * seconds, -x[_BIAS + 1] * seconds, -x[_BIAS + 2] * seconds
+    for n in range(i, k + 1):
+        part = (end if n == k else 1.0) - (begin if n == i else 0.0)
+        a, b, c = a + part * rows[n, 1], b + part * rows[n, 2], c + part * rows[n, 3]
+    o = _AXES
+    return (
+        a - (x[o] * a + x[o + 1] * b + x[o + 2] * c),
+        b - (x[o + 3] * a + x[o + 4] * b + x[o + 5] * c),
+        c - (x[o + 6] * a + x[o + 7] * b + x[o + 8] * c),
+    )
+
+
+@kernel
+def _rate(
+    x: Vector, t_ns: Times, rows: Matrix, count: int, middle: int, reach: int
+) -> tuple[float, float, float]:
+    a, b, c = turned(x, t_ns, rows, count, middle - reach, middle + reach)
+    s = 1.0 / (2e-9 * reach)
+    return s * a, s * b, s * c
+
+
+@kernel
+def instant(
+    x: Vector,
+    t_ns: Times,
+    rows: Matrix,
+    count: int,
+    at_ns: int,
+    spread: float,
+    angle_random_walk: float,
+    a_n: Vector,
+) -> Vector:
+    """How the slave moves at ``at_ns`` (I_SIZE,), `CHANGE_S` or the ``spread`` (s) around which is covered.
+
+    ``rows`` as `nav.transfer.kernels.run` takes them, ``count`` of them, end at ``t_ns``; biases by ``x``
+    (X_SIZE,). ``angle_random_walk`` rad/sqrt(s); ``a_n`` (3,) m/s^2 is handed on.
+    """
+    out = np.zeros(I_SIZE)
+    half = round(max(0.5 * RATE_S, rows[find(t_ns, count, at_ns), 0]) * 1e9)
+    some = round(0.5e9 * CHANGE_S)
+    w = _rate(x, t_ns, rows, count, at_ns, half)
+    later = _rate(x, t_ns, rows, count, at_ns + some, some)
+    sooner = _rate(x, t_ns, rows, count, at_ns - some, some)
+    for k in range(3):
+        out[I_W + k] = w[k]
+        out[I_DW + k] = (later[k] - sooner[k]) / CHANGE_S
+        out[I_A + k] = a_n[k]
+    out[I_SIGMA] = angle_random_walk / math.sqrt(2e-9 * half)
+    if spread < half * 1e-9:
+        return out
+    out[I_SPREAD] = spread
+    way = round(spread * 1e9)
+    newest = t_ns[count - 1]
+    for i in range(2):
+        there = at_ns - way if i == 0 else at_ns + way
+        turn = turned(x, t_ns, rows, count, min(at_ns, there), max(at_ns, there))
+        reach = half if i == 0 else min(half, newest - there)
+        if reach > 0:
+            u = _rate(x, t_ns, rows, count, there, reach)
+            for k in range(3):
+                out[I_RATES + 3 * i + k] = u[k] - w[k]
+        for k in range(3):
+            out[I_TURNS + 3 * i + k] = turn[k]
+    return out
