@@ -1,8 +1,9 @@
 """The navigator's modes against a small model of them, over sequences that nobody thought of.
 
 The vehicle stands still. The model knows times and causes and nothing of navigation: when an alignment can
-be done, how long an aid may be missing, how much late data can be worked in at once. Where these depend on
-details (blocks of the alignment, the distance to a snapshot) it allows either mode for as long as they may.
+be done, how long a master must be heard, how long an aid may be missing, how much late data can be worked in
+at once. Where these depend on details (blocks of the alignment, the distance to a snapshot) it allows either
+mode for as long as they may.
 """
 
 from __future__ import annotations
@@ -17,14 +18,17 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from nav.align import AlignConfig
+from nav.align.types import TransferConfig
 from nav.events import ModeChange, Refusal
 from nav.navigator import ImuErrors, Navigator, NavigatorConfig
-from nav.types import ImuFlag, ImuSample, Mode, Sample, Solution, SolutionFlag
+from nav.types import ImuFlag, ImuSample, MasterState, Mode, S, Sample, Solution, SolutionFlag
 from tests.nav.truth import Drive, fix, hand_over
 
 DT = 0.05
 FIX_EVERY = 4  # samples
 ALIGN_S = 4.0
+TRANSFER_S = 2.0  # of messages of a master, which come as often as fixes
+LATER = 0.3  # its first message may come too early to be used, and each is used a sample later
 GNSS_S = 1.0
 GAP_S = 0.5
 TINY = 1e-6  # of float times, where the navigator counts nanoseconds
@@ -37,6 +41,7 @@ EARLY, SLACK = 0.11, 0.26  # looked at every 0.1 s, at the end of an update of 0
 
 STILL = Drive(radius=0.0, sway=0.0, nod=0.0)
 TURN, PUSH = (increments[0] for increments in STILL.increments(1, DT))
+LEVEL = hand_over(STILL).q_gb
 PLACE = tuple(float(x) for x in STILL.geodetic(0.0)[:3])
 CONFIG = NavigatorConfig(
     ImuErrors(1e-5, 1e-4, 1e-6, 1e-4),
@@ -44,23 +49,37 @@ CONFIG = NavigatorConfig(
     gap_limit=GAP_S,
     replay_updates=BUDGET,
     zero_velocity=None,
-    align=AlignConfig(1e-6, 1e-4, 1e-5, 1e-4, coarse_s=2.0, fine_s=2.0, position=PLACE, C_vb=np.eye(3)),
+    align=AlignConfig(
+        1e-6,
+        1e-4,
+        1e-5,
+        1e-4,
+        coarse_s=2.0,
+        fine_s=2.0,
+        position=PLACE,
+        C_vb=np.eye(3),
+        transfer=TransferConfig(duration=TRANSFER_S),
+    ),
 )
+COPIED = "transfer_one_shot"
 
 NO_NUMBERS = (math.nan, math.inf, -math.inf)
+ALIGNING = {Mode.ALIGN, Mode.TRANSFER}
 UNDER_WAY = {Mode.NAVIGATE, Mode.DEGRADED, Mode.CATCH_UP}
 LOST, FOUND, GONE = "no inertial data for .* s", "aids are back", "no GNSS for 1 s"
 CAUSES: dict[tuple[Mode, Mode], str] = {
-    (Mode.STANDBY, Mode.ALIGN): "start",
-    (Mode.FAULT, Mode.ALIGN): "start",
+    **{(mode, new): "start" for mode in (Mode.STANDBY, Mode.FAULT) for new in ALIGNING},
+    (Mode.ALIGN, Mode.TRANSFER): "start",
+    (Mode.TRANSFER, Mode.ALIGN): "start",
     (Mode.ALIGN, Mode.NAVIGATE): "aligned by (static|motion)",
+    (Mode.TRANSFER, Mode.NAVIGATE): f"aligned by ({COPIED}|motion)",
     (Mode.NAVIGATE, Mode.DEGRADED): f"{GONE}|{LOST}",
     (Mode.DEGRADED, Mode.NAVIGATE): FOUND,
     (Mode.NAVIGATE, Mode.CATCH_UP): "late data",
     (Mode.DEGRADED, Mode.CATCH_UP): "late data",
     (Mode.CATCH_UP, Mode.NAVIGATE): "caught up",
     (Mode.CATCH_UP, Mode.DEGRADED): "caught up",
-    **{(mode, Mode.ALIGN): f"start|{LOST}" for mode in UNDER_WAY},
+    **{(mode, new): f"start|{LOST}" for mode in UNDER_WAY for new in ALIGNING},
     **{(mode, Mode.FAULT): "the state is not finite" for mode in UNDER_WAY},
     **{(mode, Mode.STANDBY): "stop" for mode in Mode if mode is not Mode.STANDBY},
 }
@@ -70,7 +89,8 @@ CAUSES: dict[tuple[Mode, Mode], str] = {
 class Model:
     """Which modes are possible, from times and causes alone; ``mode`` is the one that was found to be."""
 
-    def __init__(self) -> None:
+    def __init__(self, configured: str) -> None:
+        self.configured = configured
         self.mode = Mode.STANDBY
         self.imu_s = 0.0
         self.aligned_after = self.aligned_by = 0.0
@@ -82,10 +102,23 @@ class Model:
         self.before, self.before_fix_s = Mode.NAVIGATE, 0.0  # when that began
         self.poisoned = 0  # samples after which a number that is none must have been noticed
 
-    def align(self, now: float) -> set[Mode]:
+        self.heard_s = -math.inf  # the master
+
+    def align(self, now: float, method: str) -> set[Mode]:
         self.behind = self.unsaid = self.poisoned = 0
+        if method == COPIED:
+            self.aligned_after = self.aligned_by = math.inf  # until the master is heard
+            return {Mode.TRANSFER}
         self.aligned_after, self.aligned_by = now + ALIGN_S - EARLY, now + ALIGN_S + SLACK
         return {Mode.ALIGN}
+
+    def message(self, now: float) -> set[Mode]:
+        self.heard_s = now
+        if self.mode is Mode.TRANSFER:
+            self.aligned_after = min(self.aligned_after, now + TRANSFER_S - EARLY)
+            if self.aligned_by == math.inf:
+                self.aligned_by = now + TRANSFER_S + LATER + SLACK
+        return {self.mode}
 
     def navigate(self, now: float) -> set[Mode]:
         self.behind = self.unsaid = self.poisoned = 0
@@ -95,7 +128,7 @@ class Model:
 
     def sample(self, now: float, finite: bool) -> set[Mode]:
         silent = now - self.imu_s - DT
-        aligning = self.mode is Mode.ALIGN or (self.mode in UNDER_WAY and silent > GAP_S + TINY)
+        aligning = self.mode in ALIGNING or (self.mode in UNDER_WAY and silent > GAP_S + TINY)
         if finite or not aligning:  # an alignment does not take what is no number
             self.imu_s = now
         if self.mode is Mode.ALIGN:
@@ -103,10 +136,18 @@ class Model:
                 self.aligned_by = now + ALIGN_S + SLACK
             possible = {Mode.ALIGN} if now < self.aligned_by else set()
             return possible | ({Mode.NAVIGATE} if now > self.aligned_after else set())
+        if self.mode is Mode.TRANSFER:
+            if silent > TINY or not finite or now - self.heard_s > FIX_EVERY * DT + TINY:
+                self.aligned_by = math.inf  # it may begin anew with the next message
+            possible = {Mode.TRANSFER} if now < self.aligned_by else set()
+            return possible | ({Mode.NAVIGATE} if now > self.aligned_after else set())
         if self.mode not in UNDER_WAY:
             return {self.mode}
         if silent > GAP_S + TINY:
-            return self.align(now - DT)
+            possible = self.align(now - DT, self.configured)
+            if self.configured == COPIED:
+                self.aligned_after = now + ALIGN_S - EARLY  # the alignment in motion runs beside it
+            return possible
         if silent > TINY:
             self.unseen_s = now  # what came and went meanwhile is looked at only now
         if not finite:
@@ -164,7 +205,7 @@ class Modes(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.navigator = Navigator(CONFIG)
-        self.model = Model()
+        self.model = Model(CONFIG.alignment)
         self.count = 0  # of sample periods since the beginning
         self.shown_ns = -1
 
@@ -186,12 +227,13 @@ class Modes(RuleBasedStateMachine):
                 assert event.mode is mode
                 assert mode not in (Mode.STANDBY, Mode.FAULT)
                 if event.flags & SolutionFlag.POSITION:
-                    assert np.all(np.isfinite(event.state))
+                    known = event.state[: S.F.stop] if mode is Mode.TRANSFER else event.state
+                    assert np.all(np.isfinite(known))
                 assert event.t_ns > self.shown_ns
                 self.shown_ns = event.t_ns
         assert mode is self.navigator.mode
         assert mode in possible, f"at {self.now:.2f} s: {mode.name}, expected {possible}"
-        if mode is Mode.NAVIGATE and self.model.mode is Mode.ALIGN:
+        if mode is Mode.NAVIGATE and self.model.mode in ALIGNING:
             self.model.navigate(self.now)
         self.model.mode = mode
 
@@ -204,23 +246,51 @@ class Modes(RuleBasedStateMachine):
             self.found(self.navigator.step(self.sample()), self.model.sample(self.now, True))
             if fixes and self.count % FIX_EVERY == 0:
                 self.take_fix(self.now)
+                self.hear_master()
+
+    def hear_master(self) -> None:
+        """Of one that stands there, too; a height that is always the same would be that of a frozen one."""
+        lat, lon, height = PLACE
+        m = MasterState(
+            t_ns=round(self.now * 1e9),
+            lat=lat,
+            lon=lon,
+            height=height + 1e-3 * (self.count // FIX_EVERY % 2),
+            v_g=np.zeros(3),
+            q_ga=LEVEL,
+            w_ia_a=None,
+            f_a=None,
+            sigma_position=np.ones(3),
+            sigma_velocity=np.full(3, 0.1),
+            sigma_phi=np.full(3, 1e-3),
+            valid=True,
+            device="master",
+        )
+        self.found(self.navigator.step(m), self.model.message(self.now))
 
     def take_fix(self, made: float) -> None:
         self.found(self.navigator.step(fix(STILL, made)), self.model.fix(made, self.now))
 
-    @initialize(state=st.sampled_from(["standing by", "aligning", "navigating", "navigating"]))
-    def wake(self, state: str) -> None:
+    @initialize(
+        configured=st.sampled_from(["static", COPIED]),
+        state=st.sampled_from(["standing by", "aligning", "navigating", "navigating"]),
+    )
+    def wake(self, configured: str, state: str) -> None:
+        self.navigator = Navigator(replace(CONFIG, alignment=configured))
+        self.model = Model(configured)
         self.run(10, False)
         if state == "aligning":
             self.command("start")
         elif state == "navigating":
             self.command("begin")
 
-    @rule(what=st.sampled_from(["start", "stop", "begin"]))
+    @rule(what=st.sampled_from(["start", "static", COPIED, "stop", "begin"]))
     def command(self, what: str) -> None:
         t_ns = round(self.now * 1e9)
         if what == "start":
-            self.found(self.navigator.start(t_ns), self.model.align(self.now))
+            self.found(self.navigator.start(t_ns), self.model.align(self.now, self.model.configured))
+        elif what in ("static", COPIED):
+            self.found(self.navigator.start(t_ns, what), self.model.align(self.now, what))
         elif what == "stop":
             self.found(self.navigator.stop(t_ns), {Mode.STANDBY})
         else:
@@ -239,7 +309,7 @@ class Modes(RuleBasedStateMachine):
         self.run(samples, False)
         self.run(12, True)
 
-    @precondition(lambda self: self.model.mode is Mode.ALIGN)
+    @precondition(lambda self: self.model.mode in ALIGNING)
     @rule()
     def wait_for_alignment(self) -> None:
         self.run(math.ceil((ALIGN_S + SLACK) / DT) + 1, True)
@@ -251,6 +321,7 @@ class Modes(RuleBasedStateMachine):
             self.count += 1
             if fixes and self.count % FIX_EVERY == 0:
                 self.take_fix(self.now)
+                self.hear_master()
         self.run(1, False)
 
     @precondition(lambda self: self.model.mode in UNDER_WAY)
@@ -271,7 +342,7 @@ class Modes(RuleBasedStateMachine):
         made = self.model.begun_s - 1.0
         self.refused(fix(STILL, made), "stale")
 
-    @precondition(lambda self: self.model.mode in UNDER_WAY | {Mode.ALIGN})
+    @precondition(lambda self: self.model.mode in UNDER_WAY | ALIGNING)
     @rule(what=st.sampled_from(["number", "sample", "device"]), name=st.sampled_from(["dtheta", "dv"]))
     def harm(self, what: str, name: str) -> None:
         """A number that is none, a sample that was there before, a device that calls its sample worthless."""
