@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.jit import in_place, kernel
-from nav.transfer.states import GYRO_AXES, GYRO_BIAS, place
+from nav.rotation import rotate
+from nav.strapdown.kernels import X_Q
+from nav.transfer.states import ACCEL_AXES, ACCEL_BIAS, GYRO_AXES, GYRO_BIAS, X_REST, place
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -32,6 +34,8 @@ I_SIZE: Final = 23
 
 _BIAS: Final = place(GYRO_BIAS).start
 _AXES: Final = place(GYRO_AXES).start
+_ACCEL: Final = place(ACCEL_BIAS).start
+_ACCEL_AXES: Final = place(ACCEL_AXES).start
 
 
 @kernel
@@ -54,23 +58,48 @@ def part_over(t_ns: Times, rows: Matrix, k: int, at_ns: int) -> float:
 
 
 @kernel
+def _between(
+    t_ns: Times, rows: Matrix, count: int, first_ns: int, last_ns: int, column: int
+) -> tuple[float, float, float]:
+    """Sum of three columns of the samples between two times that are covered."""
+    i, k = find(t_ns, count, first_ns), find(t_ns, count, last_ns)
+    begin, end = part_over(t_ns, rows, i, first_ns), part_over(t_ns, rows, k, last_ns)
+    a, b, c = 0.0, 0.0, 0.0
+    for n in range(i, k + 1):
+        part = (end if n == k else 1.0) - (begin if n == i else 0.0)
+        a, b, c = a + part * rows[n, column], b + part * rows[n, column + 1], c + part * rows[n, column + 2]
+    return a, b, c
+
+
+@kernel
 def turned(
     x: Vector, t_ns: Times, rows: Matrix, count: int, first_ns: int, last_ns: int
 ) -> tuple[float, float, float]:
     """Angle, rad in b, corrected by ``x`` (X_SIZE,), turned between two times that are covered."""
-    i, k = find(t_ns, count, first_ns), find(t_ns, count, last_ns)
-    begin, end = part_over(t_ns, rows, i, first_ns), part_over(t_ns, rows, k, last_ns)
-    seconds = (last_ns - first_ns) * 1e-9
-    a, b, c = -x[_BIAS] * seconds, -x[_BIAS + 1] * seconds, -x[_BIAS + 2] * seconds
-    for n in range(i, k + 1):
-        part = (end if n == k else 1.0) - (begin if n == i else 0.0)
-        a, b, c = a + part * rows[n, 1], b + part * rows[n, 2], c + part * rows[n, 3]
+    a, b, c = _between(t_ns, rows, count, first_ns, last_ns, 1)
+    seconds, o = (last_ns - first_ns) * 1e-9, _BIAS
+    a, b, c = a - x[o] * seconds, b - x[o + 1] * seconds, c - x[o + 2] * seconds
     o = _AXES
     return (
         a - (x[o] * a + x[o + 1] * b + x[o + 2] * c),
         b - (x[o + 3] * a + x[o + 4] * b + x[o + 5] * c),
         c - (x[o + 6] * a + x[o + 7] * b + x[o + 8] * c),
     )
+
+
+@kernel
+def _felt(
+    x: Vector, t_ns: Times, rows: Matrix, count: int, first_ns: int, last_ns: int
+) -> tuple[float, float, float]:
+    """Mean specific force, m/s^2 in n by the attitude in ``x``, corrected, between two such times."""
+    a, b, c = _between(t_ns, rows, count, first_ns, last_ns, 4)
+    s, o, r = 1e9 / (last_ns - first_ns), _ACCEL, X_REST
+    a, b, c = s * a - x[o], s * b - x[o + 1], s * c - x[o + 2]
+    d, e, f, o = a - x[r], b - x[r + 1], c - x[r + 2], _ACCEL_AXES
+    a -= x[o] * d + x[o + 1] * e + x[o + 2] * f
+    b -= x[o + 3] * d + x[o + 4] * e + x[o + 5] * f
+    c -= x[o + 6] * d + x[o + 7] * e + x[o + 8] * f
+    return rotate(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3], a, b, c)
 
 
 @kernel
@@ -91,12 +120,14 @@ def instant(
     at_ns: int,
     spread: float,
     angle_random_walk: float,
-    a_n: Vector,
+    pull: Vector,
 ) -> Vector:
     """How the slave moves at ``at_ns`` (I_SIZE,), `CHANGE_S` or the ``spread`` (s) around which is covered.
 
     ``rows`` as `nav.transfer.kernels.run` takes them, ``count`` of them, end at ``t_ns``; biases by ``x``
-    (X_SIZE,). ``angle_random_walk`` rad/sqrt(s); ``a_n`` (3,) m/s^2 is handed on.
+    (X_SIZE,). ``angle_random_walk`` rad/sqrt(s); ``pull`` (3,) m/s^2 is what changes v_n besides specific
+    force. That is taken over the same time as the change of the rate, so that what the arm swings by in a
+    vibration is in both.
     """
     out = np.zeros(I_SIZE)
     half = round(max(0.5 * RATE_S, rows[find(t_ns, count, at_ns), 0]) * 1e9)
@@ -107,13 +138,16 @@ def instant(
     for k in range(3):
         out[I_W + k] = w[k]
         out[I_DW + k] = (later[k] - sooner[k]) / CHANGE_S
-        out[I_A + k] = a_n[k]
     out[I_SIGMA] = angle_random_walk / math.sqrt(2e-9 * half)
-    if spread < half * 1e-9:
+    known = spread < half * 1e-9
+    way = some if known else round(spread * 1e9)
+    newest = t_ns[count - 1]
+    felt = _felt(x, t_ns, rows, count, at_ns - way, min(at_ns + way, newest))
+    for k in range(3):
+        out[I_A + k] = felt[k] + pull[k]
+    if known:
         return out
     out[I_SPREAD] = spread
-    way = round(spread * 1e9)
-    newest = t_ns[count - 1]
     for i in range(2):
         there = at_ns - way if i == 0 else at_ns + way
         turn = turned(x, t_ns, rows, count, min(at_ns, there), max(at_ns, there))

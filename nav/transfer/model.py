@@ -191,7 +191,15 @@ def scene(x: Vector, now: Vector, m: Vector, t: Vector) -> Vector:
 
 @in_place
 def dated(
-    slope: Three, bend: Three, sigma: float, spread: float, own: float, r: Vector, H: Matrix, R: Matrix
+    slope: Three,
+    bend: Three,
+    sigma: float,
+    spread: float,
+    own: float,
+    lasts: bool,
+    r: Vector,
+    H: Matrix,
+    R: Matrix,
 ) -> tuple[bool, float]:
     """Put what the delay does into rows with noise ``sigma``: the best line over three sigma points of it.
 
@@ -202,15 +210,16 @@ def dated(
     Returns whether the rows are of use, being near enough to a line over what is known of the delay, and the
     share of the gain that they have for the delay. A slope that may be nothing else than the slave's own
     tells no delay, and to take it for one would find a wrong one ever more surely; then the delay is
-    considered, but not corrected by the row. It is no noise of the row: that would fade over messages, and
-    a delay is the same in all of them.
+    considered, but not corrected by the row, where the slope ``lasts`` as a turn or an acceleration does. It
+    is no noise of the row: that would fade over messages, and a delay is the same in all of them. A change of
+    the rate does not last: over a manoeuvre it comes to nothing, and what vibrates is in every message.
     """
     size = slope[0] * slope[0] + slope[1] * slope[1] + slope[2] * slope[2]
     share = max(0.0, 1.0 - CHANCE * own * own / size) if size > 0.0 else 0.0
     bent = math.sqrt(2.0 / 9.0 * (bend[0] * bend[0] + bend[1] * bend[1] + bend[2] * bend[2]))
     for i in range(3):
         r[i] -= bend[i] / 3.0
-        H[i, DELAY] = -slope[i]
+        H[i, DELAY] = -slope[i] if lasts or share > 0.0 else 0.0
         for j in range(3):
             R[i, j] = 2.0 / 9.0 * bend[i] * bend[j] + (sigma * sigma if i == j else 0.0)
     return bent < max(sigma, CURVED * spread * math.sqrt(size)), share
@@ -303,7 +312,7 @@ def velocity_rows(
     px, py, pz = _turn(x, X_Q, px, py, pz)
     slope = now[I_A] - inward[0] + px, now[I_A + 1] - inward[1] + py, now[I_A + 2] - inward[2] + pz
     own = _own_change(now, t) * math.sqrt(bx * bx + by * by + bz * bz)
-    straight, share = dated(slope, bend, t[T_VELOCITY], spread, own, r, H, R)
+    straight, share = dated(slope, bend, t[T_VELOCITY], spread, own, True, r, H, R)
     noise = now[I_SIGMA] * now[I_SIGMA]
     for i in range(3):
         for j in range(3):
@@ -345,7 +354,7 @@ def attitude_rows(
         py += half * (now[i + 1] + now[j + 1]) - now[I_W + 1]
         pz += half * (now[i + 2] + now[j + 2]) - now[I_W + 2]
     slope = _turn(x, X_Q, px, py, pz)
-    return dated(slope, bend, t[T_ATTITUDE], spread, t[T_OWN], r, H, R)
+    return dated(slope, bend, t[T_ATTITUDE], spread, t[T_OWN], True, r, H, R)
 
 
 @kernel
@@ -375,4 +384,4 @@ def rate_rows(
         bend = -0.5 * (now[i] + now[j]), -0.5 * (now[i + 1] + now[j + 1]), -0.5 * (now[i + 2] + now[j + 2])
         slope = half * (now[j] - now[i]), half * (now[j + 1] - now[i + 1]), half * (now[j + 2] - now[i + 2])
     sigma = math.hypot(t[T_RATE], now[I_SIGMA])
-    return dated(slope, bend, sigma, spread, _own_change(now, t), r, H, R)
+    return dated(slope, bend, sigma, spread, _own_change(now, t), False, r, H, R)

@@ -15,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.align.types import AlignConfig, TransferConfig
+from nav.rotation import quat_rotate
+from nav.strapdown.kernels import M_F, X_Q
 from nav.transfer.covariance import SEGMENT_NS, advance, noise
 from nav.transfer.instant import CHANGE_S, find, instant, part_over
-from nav.transfer.kernels import S_DT, S_FB, S_SIZE, run
-from nav.transfer.states import DELAY
+from nav.transfer.kernels import S_DT, S_FB, S_MID, S_SIZE, run
+from nav.transfer.states import DELAY, X_REST
 from nav.types import ImuSample
 
 Vector = NDArray[np.float64]
@@ -27,6 +29,7 @@ Matrix = NDArray[np.float64]
 SPREAD: Final = 3.0**0.5  # sigmas of the delay that a message's time may be off by
 _MARGIN_NS: Final = 150_000_000  # kept behind the anchor for that
 _BLOCK: Final = 4096
+_FORCE: Final = slice(S_MID + M_F, S_MID + M_F + 3)
 
 
 class Slave:
@@ -151,5 +154,9 @@ class Slave:
 
     def instant(self, t_ns: int) -> Vector:
         """How the slave moves at ``t_ns``, which is covered and `ahead_ns` more: `nav.transfer.instant`."""
-        arw = self._config.angle_random_walk
-        return instant(self.x, self._t, self._rows, self._count, t_ns, self._spread, arw, self._a_n)
+        x, sums, arw = self.x, self._sums, self._config.angle_random_walk
+        # gravity and the turns of n, by the last step; before there is one by what is felt at rest
+        pull = -quat_rotate(x[X_Q : X_Q + 4], x[X_REST : X_REST + 3])
+        if sums[S_DT] > 0.0:
+            pull = self._a_n - sums[_FORCE] / sums[S_DT]
+        return instant(x, self._t, self._rows, self._count, t_ns, self._spread, arw, pull)

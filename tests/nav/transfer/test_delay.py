@@ -12,9 +12,9 @@ SIGMA, SPREAD, OWN = 1e-3, 0.015, 0.1
 R = SIGMA**2 * np.eye(3)
 
 
-def rows(slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def rows(slope: np.ndarray, lasts: bool = True) -> tuple[np.ndarray, np.ndarray, float]:
     r, H, noise = np.zeros(3), np.zeros((3, SIZE)), np.empty((3, 3))
-    straight, share = dated(tuple(slope.tolist()), (0.0, 0.0, 0.0), SIGMA, SPREAD, OWN, r, H, noise)
+    straight, share = dated(tuple(slope.tolist()), (0.0, 0.0, 0.0), SIGMA, SPREAD, OWN, lasts, r, H, noise)
     assert straight
     return H[:, DELAY], noise, share
 
@@ -28,9 +28,18 @@ def test_a_slope_that_the_slave_makes_alone_tells_no_delay_and_is_no_noise() -> 
     assert noise == pytest.approx(R)
 
 
-def test_a_turn_of_both_tells_it() -> None:
+def test_a_change_that_does_not_last_is_nothing_unless_it_tells() -> None:
+    """What vibrates is in every message, and would be taken for what a delay does."""
+    column, noise, share = rows(np.array([OWN, -OWN, 0.5 * OWN]), False)
+    assert share == 0.0
+    assert np.array_equal(column, np.zeros(3))
+    assert noise == pytest.approx(R)
+
+
+@pytest.mark.parametrize("lasts", [True, False])
+def test_a_turn_of_both_tells_it(lasts: bool) -> None:
     slope = np.array([0.0, 30.0 * OWN, 0.0])
-    column, noise, share = rows(slope)
+    column, noise, share = rows(slope, lasts)
     assert share == pytest.approx(1.0, abs=0.02)
     assert np.array_equal(column, -slope)
     assert noise == pytest.approx(R)

@@ -164,14 +164,21 @@ def test_an_instant_is_what_the_samples_say() -> None:
     w, dw, dt = np.array([0.3, -0.1, 0.2]), np.array([2.0, 1.0, -3.0]), 0.004
     t = dt * np.arange(1, 41)
     mean = w + np.outer(t - 0.5 * dt - 0.08, dw)
-    rows = np.column_stack([np.full(40, dt), (mean + x[place(GYRO_BIAS)]) * dt, np.zeros((40, 3))])
-    a_n = np.array([1.0, 2.0, 3.0])
+    f, jerk, pull = np.array([0.5, 1.0, 9.0]), np.array([20.0, -30.0, 10.0]), np.array([1.0, 2.0, 3.0])
+    x[place(ACCEL_BIAS)] = 0.02, -0.01, 0.03
+    x[place(ACCEL_AXES)] = 1e-3 * np.arange(9)
+    x[X_REST:] = 0.1, -0.2, 9.7
+    x[0:4] = rot.quat_from_rotvec(np.array([0.3, -0.4, 1.0]))
+    felt = f + np.outer(t - 0.5 * dt - 0.08, jerk) + x[place(ACCEL_BIAS)]
+    rows = np.column_stack([np.full(40, dt), (mean + x[place(GYRO_BIAS)]) * dt, felt * dt])
     t_ns = np.round(t * 1e9).astype(np.int64)
-    now = instant(x, t_ns, rows, 40, 80_000_000, 0.02, 1e-4, a_n)
+    now = instant(x, t_ns, rows, 40, 80_000_000, 0.02, 1e-4, pull)
     kept = np.eye(3) - M
     assert now[I_W : I_W + 3] == pytest.approx(kept @ w, rel=1e-12)
     assert now[I_DW : I_DW + 3] == pytest.approx(kept @ dw, rel=1e-9)
-    assert now[I_A : I_A + 3] == pytest.approx(a_n)
+    # as much before as after, however its force changes
+    told = f - M @ (f - x[X_REST:])
+    assert now[I_A : I_A + 3] == pytest.approx(rot.quat_rotate(x[0:4], told) + pull, rel=1e-9)
     # a sample long to either side: 8 ms
     assert now[I_SIGMA] == pytest.approx(1e-4 / np.sqrt(0.008), rel=1e-12)
     assert now[I_SPREAD] == pytest.approx(0.02)
