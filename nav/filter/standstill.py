@@ -58,9 +58,10 @@ class Standstill:
         self._since_ns: int | None = None  # the odometer has stood since then
         self._odo_ns: int | None = None
         self._waiting: list[Rest] = []
+        self._quiet: Rest | None = None  # the last interval, where it seemed to be a rest
 
     def interval(self, t_ns: int, rest: Vector, v_n: Vector, sigma_v: float) -> Rest | None:
-        """Close the interval that ends at ``t_ns``; returns it when it is known to be a rest.
+        """Close the interval that ends at ``t_ns``; returns one, this or an earlier, now known to be a rest.
 
         ``rest`` (REST_SIZE,) are the sums of the propagation kernel, which start again from zero.
         ``v_n`` (3,) m/s and ``sigma_v`` m/s: the estimated velocity and its uncertainty.
@@ -86,7 +87,9 @@ class Standstill:
         # in an outage the speed is known less well than a vehicle at rest deserves
         speed = float(np.sqrt(v_n @ v_n))
         limit = max(config.rest_speed, min(3.0 * sigma_v, 3.0))
-        return found if quiet and speed < limit else None
+        before, self._quiet = self._quiet, found if quiet and speed < limit else None
+        # a vehicle that sets off smoothly is quiet for long enough: what lies before another rest was one
+        return before if self._quiet is not None else None
 
     def odometer(self, sample: OdoSample) -> Rest | None:
         """Take an odometer sample; returns an interval that it confirms as a rest."""

@@ -27,20 +27,30 @@ INIT = NavInit(
 )
 
 
-def stands(config, init, rate, force, speed=0.0):
-    """Whether an interval with these standard deviations (3,) of single updates counts as a rest."""
+def sums(rate, force):
+    """What an interval of half a second gathers, with these standard deviations (3,) of single updates."""
     mean = np.concatenate([[0.01, -0.02, 0.03], [0.1, -0.2, 9.8]])
     n = 25
     rest = np.zeros(14)
     rest[0], rest[1] = 0.5, n
     rest[2:8] = mean * 0.5
     rest[8:14] = n * (mean**2 + np.concatenate([rate, force]) ** 2)
-    found = Standstill(config, init).interval(1_000_000_000, rest, np.array([speed, 0.0, 0.0]), 0.1)
-    assert not rest.any()  # begun again
-    if found is not None:
-        np.testing.assert_allclose(found.rate_b, mean[:3], rtol=1e-12)
-        assert (found.start_ns, found.end_ns) == (500_000_000, 1_000_000_000)
-    return found is not None
+    return rest
+
+
+def stands(config, init, rate, force, speed=0.0):
+    """Whether an interval of these counts as a rest when the next is the same."""
+    watch = Standstill(config, init)
+    found = []
+    for end_ns in (1_000_000_000, 1_500_000_000):
+        rest = sums(rate, force)
+        found.append(watch.interval(end_ns, rest, np.array([speed, 0.0, 0.0]), 0.1))
+        assert not rest.any()  # begun again
+    assert found[0] is None
+    if found[1] is not None:
+        np.testing.assert_allclose(found[1].rate_b, [0.01, -0.02, 0.03], rtol=1e-12)
+        assert (found[1].start_ns, found[1].end_ns) == (500_000_000, 1_000_000_000)
+    return found[1] is not None
 
 
 def test_an_axis_may_shake_as_it_did_at_rest():
@@ -73,6 +83,24 @@ def test_nothing_seen_and_nothing_configured():
 
 def test_a_smooth_ride_is_no_standstill():
     assert not stands(CONFIG, INIT, *REST, speed=0.6)
+
+
+def test_the_interval_in_which_it_sets_off_is_no_rest():
+    """Gently: it is as quiet as the others, and slow. What lies between two quiet ones was a rest."""
+    watch = Standstill(CONFIG, INIT)
+    shaken = [1.0, 1.0, 1.0, 1.5, 1.0, 1.5]
+    found = [
+        watch.interval((k + 1) * 500_000_000, sums(REST[0], x * REST[1]), np.zeros(3), 0.1)
+        for k, x in enumerate(shaken)
+    ]
+    assert [None if r is None else r.end_ns for r in found] == [
+        None,
+        500_000_000,
+        1_000_000_000,
+        None,
+        None,
+        None,
+    ]
 
 
 @pytest.mark.parametrize(("starts_ms", "rested"), [(1760, False), (1780, True)])
