@@ -1,5 +1,6 @@
 """Levelling: the vertical and the gyro bias from a standstill that GNSS confirms, heading not known.
 
+What it says of them, and how well, is what gyros and accelerometers agree about (`nav.align.steady`).
 Ends when the vehicle moves. A vehicle that is moving already is levelled by its mean specific force, which
 is off by its mean acceleration; the covariance says so.
 """
@@ -13,9 +14,11 @@ from typing import Final
 
 import numpy as np
 
+from nav.align.match_filter import turned_by
 from nav.align.preintegrate import DT, R, empty, extend, sample_piece
+from nav.align.steady import Steady, Stood, follow, stood
 from nav.align.types import AlignConfig, AlignStatus, NavInit, Stage
-from nav.earth import EARTH_RATE, ecef, normal_gravity
+from nav.earth import EARTH_RATE, ecef
 from nav.rotation import quat_from_dcm, quat_multiply
 from nav.types import GnssFix, ImuFlag, ImuSample, Sample, Vector
 
@@ -60,10 +63,12 @@ class Level:
     config: AlignConfig
     rate: Vector = field(default_factory=lambda: np.zeros(3))  # mean rate and force at rest, b
     force: Vector = field(default_factory=lambda: np.zeros(3))
-    rate_m2: Vector = field(default_factory=lambda: np.zeros(3))  # weighted square deviations of chunk means
     variance: Vector = field(default_factory=lambda: np.zeros(6))  # of single samples within a chunk
-    chunks: int = 0
     seconds: float = 0.0
+    steady: Steady = field(default_factory=Steady)
+    stood: Stood | None = None
+    q_hb: Vector | None = None  # attitude at the last sample, heading arbitrary, where it has stood
+    tilt: float = math.inf  # rad^2, variance of its level, at the last fix
     waiting: tuple[_Chunk, ...] = ()
     open: _Chunk = field(default_factory=_chunk)
     fix: GnssFix | None = None
@@ -97,7 +102,10 @@ def _with_imu(state: Level, sample: ImuSample) -> Level:
     chunk = _Chunk(
         sample.t_ns, old.dtheta + sample.dtheta, old.dv + sample.dv, squares, old.samples + 1, total
     )
-    return replace(state, open=chunk)
+    q_hb = state.q_hb
+    if q_hb is not None and state.stood is not None:
+        q_hb = turned_by(q_hb, sample.dtheta, state.stood.bias, sample.dt)
+    return replace(state, open=chunk, q_hb=q_hb)
 
 
 def _with_fix(state: Level, fix: GnssFix) -> Level:
@@ -130,12 +138,38 @@ def _with_fix(state: Level, fix: GnssFix) -> Level:
         else:
             state = _commit(state, left[0])
         del left[0]
-    return replace(state, waiting=tuple(left))
+    return _levelled(replace(state, waiting=tuple(left)))
+
+
+def _levelled(state: Level) -> Level:
+    """Attitude at the last sample by what was seen at rest, and how well it is known."""
+    config, seen = state.config, stood(state.steady, state.config)
+    if seen is None:
+        return replace(state, stood=None, q_hb=None, tilt=math.inf)
+    since = _since(state, seen.bias)
+    after = float(since[DT])
+    tilt = seen.tilt + float(np.max(seen.drift)) * after**2 + config.angle_random_walk**2 * after
+    q_hb = quat_from_dcm(level_dcm(seen.force) @ since[R].reshape(3, 3))
+    return replace(state, stood=seen, q_hb=q_hb, tilt=tilt)
+
+
+def _since(state: Level, bias: Vector) -> Vector:
+    """The piece since the last chunk that was at rest."""
+    total = empty()
+    for part in (*state.waiting, state.open):
+        # all that was seen at rest, the Earth's turning too: the level stays level
+        extend(total, part.piece, bias, _ZERO)
+    return total
+
+
+def _rested(state: Level) -> bool:
+    """Whether the level is a standstill's: of a second or more, which shows it better than motion would."""
+    return state.seconds >= min(1.0, state.config.rest_s) and state.tilt < MOVING_LEVEL**2
 
 
 def _disturbed(state: Level, chunk: _Chunk) -> bool:
     """Whether somebody moved the vehicle or the IMU."""
-    if state.chunks == 0:
+    if state.seconds == 0.0:
         return False
     dt = float(chunk.piece[DT])
     turned = float(np.linalg.norm(chunk.dtheta / dt - state.rate)) > TURN_RATE
@@ -148,16 +182,13 @@ def _commit(state: Level, chunk: _Chunk) -> Level:
     rate, force = chunk.dtheta / dt, chunk.dv / dt
     seconds = min(state.seconds, REMEMBER_S) + dt
     variance = np.maximum(chunk.squares / chunk.samples - np.concatenate([rate, force]) ** 2, 0.0)
-    change = rate - state.rate
-    mean = state.rate + change * (dt / seconds)
     return replace(
         state,
-        rate=mean,
+        rate=state.rate + (rate - state.rate) * (dt / seconds),
         force=state.force + (force - state.force) * (dt / seconds),
-        rate_m2=state.rate_m2 + change * (rate - mean),
         variance=state.variance + (variance - state.variance) * (dt / seconds),
-        chunks=state.chunks + 1,
         seconds=seconds,
+        steady=follow(state.steady, dt, chunk.dtheta, chunk.dv, REMEMBER_S),
     )
 
 
@@ -198,13 +229,13 @@ def _motion_seconds(state: Level) -> float:
 
 
 def _status(state: Level) -> AlignStatus:
-    rested = state.seconds >= min(1.0, state.config.rest_s)
+    rested = _rested(state)
     done = state.moving and (rested or _motion_seconds(state) >= MOVING_S)
     level = state.config.accel_bias / 9.8
-    sigma = level if rested else MOVING_LEVEL
+    tilt = state.tilt if rested else MOVING_LEVEL**2
     return AlignStatus(
-        estimate=quat_from_dcm(level_dcm(state.force)) if state.chunks else None,
-        covariance=np.diag([sigma**2, sigma**2, UNKNOWN_HEADING**2]),
+        estimate=state.q_hb if rested else None,
+        covariance=np.diag([tilt, tilt, UNKNOWN_HEADING**2]),
         limit=np.array([level, level, UNKNOWN_HEADING]),
         progress=min(1.0, state.seconds / state.config.rest_s),
         done=done,
@@ -215,45 +246,32 @@ def finish(state: Level) -> NavInit:
     """Attitude at the last inertial sample, heading arbitrary with a sigma that says so."""
     config, fix = state.config, state.fix
     assert fix is not None
-    g = normal_gravity(math.sin(fix.lat), fix.height)
-    total = empty()
     parts = (*state.waiting, state.open)
-    rested = state.seconds >= min(1.0, config.rest_s)
-    if rested:
-        C = level_dcm(state.force)
-        up_b = C[2]
-        bias = state.rate - EARTH_RATE * math.sin(fix.lat) * up_b
-        # as the sensors' noise has it, or as it was seen to scatter where that is more
-        scatter = state.rate_m2 / max(1, state.chunks * (state.chunks - 1))
-        noise = np.maximum(scatter, config.angle_random_walk**2 / state.seconds)
+    rested, seen = _rested(state), state.stood
+    if rested and seen is not None:
+        C = level_dcm(seen.force)
+        since = _since(state, seen.bias)
+        after = float(since[DT])
         # the level part of Earth rate points nobody knows where
         unseen = 0.5 * (EARTH_RATE * math.cos(fix.lat)) ** 2
-        wander = config.gyro_walk**2 * (state.seconds / 3.0 + sum(float(part.piece[DT]) for part in parts))
-        var = noise + unseen + wander
+        var = seen.drift + unseen + config.gyro_walk**2 * (state.seconds / 3.0 + after)
         # a sensor better than that unseen part is believed more than the standstill
         weight = config.gyro_bias**2 / (config.gyro_bias**2 + var)
-        for part in parts:
-            # all that was seen at rest, the Earth's turning too: the level stays level
-            extend(total, part.piece, bias, _ZERO)
-        after = float(total[DT])
-        walked = float(np.max(noise)) * after**2 + config.angle_random_walk**2 * after
-        level_var = (config.accel_bias / g) ** 2 + walked
-        bias, sigma_bias = weight * bias, np.sqrt(weight * var)
+        level_var = state.tilt
+        bias = weight * (seen.bias - EARTH_RATE * math.sin(fix.lat) * C[2])
+        sigma_bias = np.sqrt(weight * var)
         mounting: Vector | None = C if config.C_vb is None else config.C_vb
     else:
-        force = np.sum([part.dv for part in parts], axis=0)
-        C = level_dcm(force)
-        bias = np.zeros(3)
-        sigma_bias = np.full(3, config.gyro_bias)
+        C = level_dcm(np.sum([part.dv for part in parts], axis=0))
+        since = _since(state, _ZERO)
+        bias, sigma_bias = np.zeros(3), np.full(3, config.gyro_bias)
         level_var = MOVING_LEVEL**2
         mounting = config.C_vb
-    q_hb = quat_from_dcm(C @ total[R].reshape(3, 3))
+    q_hb = quat_from_dcm(C @ since[R].reshape(3, 3))
     known = config.C_vb is not None
     slope = 0.0 if known else config.slope
-    end_ns = max(part.end_ns for part in parts)
-    level_var += (config.velocity_random_walk / g) ** 2 / max(1.0, state.seconds)
     return NavInit(
-        t_ns=end_ns,
+        t_ns=max(part.end_ns for part in parts),
         lat=fix.lat,
         lon=fix.lon,
         height=fix.height,

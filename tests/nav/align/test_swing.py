@@ -5,49 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from bridge.studies.alignment_truth import HEIGHT, LAT, LON, Base, merged, misalignment, sensed
-from nav.align import ALIGNMENTS, AlignConfig, advance, begin
+from bridge.studies.alignment_truth import merged, misalignment
+from nav.align import ALIGNMENTS, advance, begin
 from nav.align.match import rate_at
-from nav.earth import radii
-from nav.types import FixType, GnssFix, ImuSample
+from nav.types import ImuSample
+from tests.nav.align.boats import LAUNCH, at_anchor
 
-MAST = np.array([0.3, -1.0, 2.5])  # m from the IMU
-IMU = np.array([0.5, 2.0, 1.0])  # m from the point about which it rolls
-CONFIG = AlignConfig(
-    gyro_bias=math.radians(0.1),
-    accel_bias=0.02,
-    angle_random_walk=math.radians(0.2) / 60.0,
-    velocity_random_walk=5e-4,
-    gnss_lever_arm=MAST,
-    sigma_heading=1e-9,  # it does not end: what it says as it goes on is looked at
-)
 SEEDS = 4
 
 
-def rolling(seed, seconds=30.0, dt=0.01, every=0.25, sigma_v=0.03):
-    """A boat whose roll goes to 8 deg at half a hertz and more: inertial samples, fixes, and the base."""
-    rng = np.random.default_rng(seed)
-    swing = np.radians([[1.0, 0.5], [1.5, 1.0], [5.0, 3.0]])
-    rates = 2.0 * math.pi * rng.uniform(0.4, 1.1, 2)
-    base = Base(rng, swing, rates, IMU, [rng.uniform(0.0, 2.0 * math.pi), 0.02, -0.03])
-    top = Base(rng, swing, rates, IMU + MAST, base.mean)
-    top.phase = base.phase
-    samples, _, _ = sensed(rng, CONFIG, *base.increments(round(seconds / dt), dt), dt)
-    r_m, r_n = radii(math.sin(LAT))
-    sigma, sigma_p = np.full(3, sigma_v), np.full(3, 0.01)
-    fixes = []
-    for t in np.arange(every, seconds, every) - 0.007:
-        v = top.velocity(t) + sigma * rng.standard_normal(3)
-        p = base.C_gb(t) @ top.lever + sigma_p * rng.standard_normal(3)
-        lat, lon = LAT + p[1] / (r_m + HEIGHT), LON + p[0] / ((r_n + HEIGHT) * math.cos(LAT))
-        t_ns = round(t * 1e9)
-        fixes.append(GnssFix(t_ns, lat, lon, HEIGHT + p[2], sigma_p, v, sigma, FixType.RTK_FIXED, "gnss"))
-    return samples, fixes, base
-
-
-def last_word(samples):
+def last_word(samples, config):
     """Attitude and covariance that it says last, and when (s)."""
-    run = begin(ALIGNMENTS["motion"], CONFIG)
+    run = begin(ALIGNMENTS["motion"], config)
     said = None
     for sample in samples:
         run, status = advance(run, sample)
@@ -61,10 +30,10 @@ def last_word(samples):
 def test_heading_from_a_roll_is_as_good_as_it_says(late):
     found, sigmas = [], []
     for seed in range(SEEDS):
-        samples, fixes, base = rolling(seed)
+        samples, fixes, config, base = at_anchor(LAUNCH, seed)
         # fixes come 60 ms after their time, or before anything that is later than they are
         mixed = merged(samples, fixes) if late else sorted([*samples, *fixes], key=lambda s: s.t_ns)
-        q_gb, P, t = last_word(mixed)
+        q_gb, P, t = last_word(mixed, config)
         phi = misalignment(base.C_gb(t), q_gb)
         found.append(phi @ np.linalg.solve(P, phi))
         sigmas.append(math.sqrt(P[2, 2]))
@@ -105,7 +74,7 @@ def test_a_rate_at_either_end_of_what_there_is():
 
 
 def test_a_swing_does_not_depend_on_how_long_fixes_take():
-    samples, fixes, _ = rolling(7, seconds=12.0)
-    late = last_word(merged(samples, fixes))
-    at_once = last_word(sorted([*samples, *fixes], key=lambda s: s.t_ns))
-    np.testing.assert_allclose(late[1], at_once[1], rtol=1e-9)
+    samples, fixes, config, _ = at_anchor(LAUNCH, 7, seconds=12.0)
+    late = last_word(merged(samples, fixes), config)
+    at_once = last_word(sorted([*samples, *fixes], key=lambda s: s.t_ns), config)
+    np.testing.assert_allclose(late[1], at_once[1], rtol=1e-9, atol=1e-12)
