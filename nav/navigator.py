@@ -20,7 +20,7 @@ from nav.filter.aiding import Aiding
 from nav.filter.history import Timeline
 from nav.filter.initial import initial_state
 from nav.filter.mounting import MountingSearch, settle
-from nav.filter.reconfigured import reconfigured
+from nav.filter.reconfigured import more_walk, reconfigured
 from nav.filter.report import solution_covariance
 from nav.filter.settings import ImuErrors, NavigatorConfig, parameters
 from nav.filter.standstill import Rest, Standstill
@@ -116,6 +116,8 @@ class Navigator:
         later than that they are refused.
         """
         mode = self.mode
+        if type(sample) is ImuChange:
+            self._timeline.walk[:] = more_walk(sample, self.config.imu)
         if mode is Mode.STANDBY or mode is Mode.FAULT:
             if isinstance(sample, ImuSample):
                 self._imu_ns = sample.t_ns

@@ -88,7 +88,8 @@ class ImuChange(NamedTuple):
     Bits are sensors, the first the lowest: those that are not used (``out``) and those one of which has
     failed, as far as is known (``suspect``). ``owed`` (2, 3) rad and m/s in b is what samples before lack,
     those of about the last ``over`` s; ``bias`` (2, 3) rad/s and m/s^2 one sigma of what the biases changed
-    by along each axis of b.
+    by along each axis of b. ``walk`` (2, 3, 3) rad^2/s and m^2/s^3 is the density of the noise in b of
+    what the unit says from now on.
     """
 
     t_ns: int
@@ -100,6 +101,7 @@ class ImuChange(NamedTuple):
     owed: Vector
     over: float
     bias: Vector
+    walk: Vector
 
 
 class OdoSample(NamedTuple):

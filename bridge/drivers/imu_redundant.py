@@ -195,18 +195,20 @@ class Fusion:
         tested = np.array([bool(each & DETECTED) for each in status])
         owed = np.where(tested[:, None], self._unit.owed, 0.0)
         cofactors = self._cofactors_now()
-        moved = [np.abs(new - old) for new, old in zip(cofactors, self._cofactors, strict=True)]
+        moved = [np.abs(np.diag(new - old)) for new, old in zip(cofactors, self._cofactors, strict=True)]
         self._cofactors = cofactors
         bias = np.array([bias * np.sqrt(part) for bias, part in zip(self._biases, moved, strict=True)])
-        return ImuChange(t_ns, self._name, *now.masks, owed, self._over, bias)
+        kinds = zip(cofactors, self._kinds, strict=True)
+        walk = np.array([part * kind.noise.walk**2 for part, kind in kinds])
+        return ImuChange(t_ns, self._name, *now.masks, owed, self._over, bias, walk)
 
     def _cofactors_now(self) -> list[Vector]:
-        """Of each kind what the variance of a sensor is to be multiplied by, (3,); zero where none is fused.
+        """Of each kind the covariance (3, 3) of what is fused, a sensor's variance being 1; zero of nothing.
 
         Of sensors of equal noise the weights are optimal, so what some more of them change the result by has
         the difference of the covariances.
         """
-        found = [np.diag(kind.covariance(1.0)) / kind.noise.variance(1.0) for kind in self._kinds]
+        found = [kind.covariance(1.0) / kind.noise.variance(1.0) for kind in self._kinds]
         return [np.where(np.isfinite(one), one, 0.0) for one in found]
 
 

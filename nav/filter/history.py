@@ -28,6 +28,7 @@ from nav.filter.propagate import (
     ROW_GAP,
     ROW_N,
     ROW_NOISE,
+    ROW_WALK,
     WORK_SIZE,
     advance,
     replay,
@@ -72,6 +73,8 @@ class Timeline:
         self._scratch = np.zeros(WORK_SIZE)
         self._out = np.zeros(12)
         self.rest = np.zeros(REST_SIZE)
+        self.walk = np.zeros(18)
+        """Densities of noise beyond those of ``par`` from now on, as of a row: see `ROW_WALK`."""
         self._ring = np.zeros((CAPACITY, row_size(samples)))
         self._rows = [self._ring[i] for i in range(CAPACITY)]
         self._times = np.zeros(CAPACITY, dtype=np.int64)
@@ -157,6 +160,7 @@ class Timeline:
         row[ROW_GAP] = gap
         row[ROW_NOISE] = noise
         row[ROW_N] = samples
+        row[ROW_WALK:ROW_D] = self.walk
         self._feed.fill(row, t_ns, dt)
         self._times[place] = t_ns
         return place

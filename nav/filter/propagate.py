@@ -65,7 +65,8 @@ ROW_H: Final = 3  # external height for the height channel, m
 ROW_H_AGE: Final = 4  # and how long before the middle of the row it was measured, s
 ROW_H_Q: Final = 5  # and the density of its noise, m^2 s; negative: there is none
 ROW_N: Final = 6  # samples in this row
-ROW_D: Final = 7  # angle increments of all samples, then velocity increments
+ROW_WALK: Final = 7  # further densities of noise in b, (3, 3) of phi, then of velocity
+ROW_D: Final = 25  # angle increments of all samples, then velocity increments
 
 
 def row_size(samples: int) -> int:
@@ -111,6 +112,21 @@ def _add_vibration(P: Matrix, mid: Vector, gyro: float, accel: float, row: Vecto
                 c = ci * mid[M_C + 3 * j + k]
                 P[6 + i, 6 + j] += c * a
                 P[3 + i, 3 + j] += c * v
+
+
+@in_place
+def _add_walk(P: Matrix, mid: Vector, row: Vector) -> None:
+    """Add to ``P`` what the noise of a row is in b beyond that of the states: C W C^T dt."""
+    for kind in range(2):
+        w, o = ROW_WALK + 9 * kind, 6 - 3 * kind
+        if row[w] + row[w + 4] + row[w + 8] == 0.0:
+            continue
+        for i in range(3):
+            c = M_C + 3 * i
+            for k in range(3):
+                m = mid[c] * row[w + k] + mid[c + 1] * row[w + 3 + k] + mid[c + 2] * row[w + 6 + k]
+                for j in range(3):
+                    P[o + i, o + j] += m * mid[M_C + 3 * j + k] * row[ROW_DT]
 
 
 @in_place
@@ -209,6 +225,7 @@ def propagate(x: Vector, P: Matrix, par: Vector, work: Vector, row: Vector) -> N
     predict(P, mid, x, dt, par, row[ROW_NOISE], extra_v, extra_phi, work)
     if fed:
         feedback(P, u[U_KH], u[U_KH + 1], u[U_KH + 2], row[ROW_H_Q], dt)
+    _add_walk(P, mid, row)
     if row[ROW_GAP] == 0.0 and (par[P_VIB_G] > 0.0 or par[P_VIB_A] > 0.0):
         _add_vibration(P, mid, par[P_VIB_G], par[P_VIB_A], row)
 

@@ -4,7 +4,9 @@ Before a fault is found it has moved attitude and velocity by what the unit then
 all of that is still there, and is put right. Aids have taken out more or less of it, nobody knows how much:
 putting it right again would be as wrong, so the state stays and its covariance grows by it. And what aids do
 not let velocity show goes into tilt: as much as the fault has come to, which of one that grows is twice its
-mean. The biases of what is fused are other ones in any case: the weights of the sensors have changed.
+mean. The biases of what is fused are other ones in any case: the weights of the sensors have changed. And so
+is its noise, (H^T R^-1 H)^-1 of sensors H with variances R, which grows along the axes of those that are
+gone: the filter has it from the first sample on that is made of the others.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import numpy as np
 
 from nav.filter import states as st
 from nav.filter.records import Filter
+from nav.filter.settings import ImuErrors
 from nav.rotation import dcm_from_quat, quat_from_rotvec, quat_multiply, quat_normalize
 from nav.strapdown.kernels import X_Q, X_V
 from nav.types import ImuChange, Vector
@@ -43,6 +46,18 @@ def reconfigured(change: ImuChange, blind: bool) -> Callable[[Filter], None]:
         _widen(f, st.ACCEL_BIAS, change.bias[1] ** 2)
 
     return action
+
+
+def more_walk(change: ImuChange, imu: ImuErrors) -> Vector:
+    """By what the unit's noise exceeds the configured one: densities in b of phi, then of velocity, (18,).
+
+    A configuration may tell the noise of one sensor or of all; in no direction is less assumed than it says.
+    """
+    more = []
+    for walk, told in zip(change.walk, (imu.angle_random_walk, imu.velocity_random_walk), strict=True):
+        values, axes = np.linalg.eigh(walk)
+        more.append((axes * np.maximum(values - told**2, 0.0)) @ axes.T)
+    return np.ravel(more)
 
 
 def _widen(f: Filter, part: slice, variance: Vector) -> None:

@@ -193,6 +193,8 @@ def test_two_dead_sensors_of_a_cone(pair: tuple[int, int]) -> None:
     assert changes[-1].gyros_out == 1 << pair[0] | 1 << pair[1]
     assert changes[-1].accels_out == 0
     left = np.delete(CONE, pair, axis=0)
+    noise = WALK**2 * np.linalg.inv(left.T @ left), WALK_A**2 * np.linalg.inv(CONE.T @ CONE)
+    np.testing.assert_allclose(changes[-1].walk, noise, rtol=1e-6, atol=1e-9 * WALK**2)
     spread = np.sqrt(np.diag(np.linalg.inv(left.T @ left)))
     first = next(k for k, s in enumerate(samples) if s.t_ns >= changes[-1].t_ns)
     turned = np.sum([s.dtheta for s in samples[first:]], axis=0) - unit.rate[first:].sum(axis=0) * DT

@@ -20,7 +20,7 @@ NONE = np.zeros((2, 3))
 
 
 def change(t_ns: int, *masks: int, device: str = "imu") -> ImuChange:
-    return ImuChange(t_ns, device, *masks, NONE, 10.0, NONE)
+    return ImuChange(t_ns, device, *masks, NONE, 10.0, NONE, NONE)
 
 
 def health(t_ns: int, **units: UnitHealth | None) -> Health:
