@@ -28,6 +28,7 @@ from nav.transfer.states import (
     GYRO_BIAS,
     MOVED,
     PHI,
+    POSITION,
     SIZE,
     VELOCITY,
     X_REST,
@@ -51,6 +52,7 @@ N_SIZE: Final = N_BETA + 3
 
 _GYRO: Final = GYRO_BIAS.start
 _ACCEL: Final = ACCEL_BIAS.start
+_P: Final = POSITION.start
 _V: Final = VELOCITY.start
 _PHI: Final = PHI.start
 _BENT: Final = FLEXURE.start
@@ -192,6 +194,21 @@ def predict(x: Vector, P: Matrix, sums: Vector, par: Vector) -> None:
             P[j, i] = t
     for k in range(MOVED, N_BEND):
         P[k, k] += par[N_Q + k] * dt
+
+
+@kernel
+def turned_about_up(P: Matrix, angle: float) -> Matrix:
+    """``P`` (SIZE, SIZE) with position, velocity and phi in axes that n is turned by ``angle`` (rad) from."""
+    out = P.copy()
+    c, s = math.cos(angle), math.sin(angle)
+    for i in (_P, _V, _PHI):
+        for k in range(SIZE):
+            u, v = out[i, k], out[i + 1, k]
+            out[i, k], out[i + 1, k] = c * u - s * v, s * u + c * v
+        for k in range(SIZE):
+            u, v = out[k, i], out[k, i + 1]
+            out[k, i], out[k, i + 1] = c * u - s * v, s * u + c * v
+    return out
 
 
 @kernel

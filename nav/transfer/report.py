@@ -12,10 +12,11 @@ from nav.align.types import TransferConfig
 from nav.earth import position_angles
 from nav.events import TransferProgress
 from nav.strapdown.kernels import X_C, X_H, X_Q, X_V
+from nav.transfer.covariance import turned_about_up
 from nav.transfer.kernels import S_DT, S_FB, S_WB
 from nav.transfer.matching import Matching
 from nav.transfer.slave import Slave
-from nav.transfer.states import MOUNTING, NAMES, PHI, POSITION, SIZE, VELOCITY, place
+from nav.transfer.states import MOUNTING, NAMES, PHI, POSITION, VELOCITY, place
 from nav.types import MasterState
 
 Vector = NDArray[np.float64]
@@ -47,8 +48,8 @@ class Report(NamedTuple):
 def ratios(P: Matrix, first: Vector, matching: Matching) -> tuple[tuple[str, float], ...]:
     """Of each estimated state that was not known exactly at first, its name and sigma over the first one."""
     sigma = np.sqrt(np.diag(P))
-    told = [k for k in range(SIZE) if matching.mask[k] > 0.0 and first[k] > 0.0]
-    return tuple((NAMES[k], float(sigma[k] / first[k])) for k in told)
+    told = np.flatnonzero((matching.mask > 0.0) & (first > 0.0)).tolist()
+    return tuple(zip((NAMES[k] for k in told), (sigma[told] / first[told]).tolist(), strict=True))
 
 
 def report(
@@ -64,10 +65,7 @@ def report(
     lat, lon, wander = position_angles(x[X_C : X_C + 9].reshape(3, 3))
     q_gn = rot.quat_from_rotvec(np.array([0.0, 0.0, wander]))
     C_gn = rot.dcm_from_quat(q_gn)
-    T = np.eye(SIZE)
-    for part in (POSITION, VELOCITY, PHI):
-        T[part, part] = C_gn
-    P = T @ slave.P @ T.T
+    P = turned_about_up(slave.P, wander)
     sigma = np.sqrt(np.diag(P))
     east, north, up = sigma[PHI].tolist()
     mx, my, mz = x[place(MOUNTING)].tolist()

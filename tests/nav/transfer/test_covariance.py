@@ -15,7 +15,7 @@ from nav.strapdown.kernels import M_C, M_EN, M_F, M_G, M_IE, M_K, M_V
 from nav.strapdown.mechanize import frame_rates
 from nav.transfer import matching
 from nav.transfer.correction import Use, take, weigh
-from nav.transfer.covariance import MARKOV, SEGMENT_NS, advance, noise, predict
+from nav.transfer.covariance import MARKOV, SEGMENT_NS, advance, noise, predict, turned_about_up
 from nav.transfer.kernels import S_DT, S_FB, S_MID, S_SIZE, S_WB, run
 from nav.transfer.stage import Transfer
 from nav.transfer.states import (
@@ -187,6 +187,15 @@ def test_a_correction_is_the_textbooks(uses: tuple[Use, Use, Use], own: slice) -
     assert dx == pytest.approx(found, rel=1e-11)
     assert off(P, expected) < 1e-12
     assert np.array_equal(P, P.T)
+
+
+def test_it_is_told_in_other_axes() -> None:
+    """Level axes of position, velocity and phi turned about the vertical, the rest as it is."""
+    P, T = some_covariance(2), np.eye(SIZE)
+    C = rot.dcm_from_quat(rot.quat_from_rotvec(np.array([0.0, 0.0, 0.7])))
+    for part in (POSITION, VELOCITY, PHI):
+        T[part, part] = C
+    assert off(turned_about_up(P, 0.7), T @ P @ T.T) < 1e-14
 
 
 def test_the_way_is_cut_into_steps() -> None:
