@@ -25,10 +25,11 @@ from virtual_bus.grades import (
     Grade,
     ImuErrors,
     Triad,
+    thermal,
 )
 from virtual_bus.master import HEIGHT_S
 from virtual_bus.scenario import Scenario
-from virtual_bus.tables import DeviceTable
+from virtual_bus.tables import DeviceTable, ImuTable
 from virtual_bus.truth import mounting_matrix
 
 Array = NDArray[np.float64]
@@ -56,24 +57,44 @@ _ALIGN_MARGIN_S: Final = 4.0
 _TRANSFER_S: Final = 5.0
 _TRANSFER_MRAD: Final = 1.0
 _COARSE_S: Final = 60.0
+_WARMING: Final = np.linspace(0.0, 6.0, 121)
+"""Instants of warming up, in its time constants."""
 _FINE_S: Final = 240.0
 
 
-def imu_errors(grade: Grade) -> dict[str, float]:
-    """What a filter should assume of a unit of ``grade``, calibrated: keys of the bridge's imu_errors."""
+def imu_errors(grade: Grade, imu: ImuTable) -> dict[str, float]:
+    """What a filter should assume of a unit of ``grade``, calibrated: keys of the bridge's imu_errors.
+
+    Where the filter has no state for what calibration leaves, its biases bear it. Drift by specific force is
+    a constant while the force is mostly gravity. What follows temperature is a constant at the one that the
+    unit is switched on at, and moves while it warms up: a bias that walks covers this where its variance
+    has grown at every instant as far as that has moved.
+    """
     gyro_axes, accel_axes = (
         axes * ARCSEC * 1e6 for axes in (grade.gyro_misalignment_arcsec, grade.accel_misalignment_arcsec)
     )
+    cold, warm = imu.temperature_deg_c
+    course = warm + (cold - warm) * np.exp(-_WARMING)
+
+    def wander(instability: float, moved: Array) -> float:
+        walk = float(np.max(moved[1:] ** 2 / _WARMING[1:])) / imu.warm_up_s
+        return math.hypot(instability, math.sqrt(0.5 * grade.correlation_s * walk))
+
+    gyro, gyro_moved = thermal(grade.gyro_bias_deg_per_h_per_deg_c, course)
+    accel, accel_moved = thermal(grade.accel_bias_ug_per_deg_c, course)
+    gyro_scale, gyro_grown = thermal(grade.gyro_scale_ppm_per_deg_c, course)
+    accel_scale, accel_grown = thermal(grade.accel_scale_ppm_per_deg_c, course)
+    by_force = grade.gyro_g_sensitivity_deg_per_h_per_g
     return {
-        "gyro_bias_deg_per_h": grade.gyro_bias_deg_per_h,
-        "gyro_instability_deg_per_h": grade.gyro_instability_deg_per_h,
+        "gyro_bias_deg_per_h": math.hypot(grade.gyro_bias_deg_per_h, by_force, gyro),
+        "gyro_instability_deg_per_h": wander(grade.gyro_instability_deg_per_h, gyro_moved),
         "gyro_random_walk_deg_per_sqrt_h": grade.gyro_random_walk_deg_per_sqrt_h,
-        "gyro_scale_ppm": grade.gyro_scale_ppm,
+        "gyro_scale_ppm": math.hypot(grade.gyro_scale_ppm, gyro_scale, float(gyro_grown.max())),
         # at 1 g a misalignment looks like a bias of as many ug of the level sensors
-        "accel_bias_ug": math.hypot(grade.accel_bias_ug, accel_axes),
-        "accel_instability_ug": grade.accel_instability_ug,
+        "accel_bias_ug": math.hypot(grade.accel_bias_ug, accel_axes, accel),
+        "accel_instability_ug": wander(grade.accel_instability_ug, accel_moved),
         "accel_random_walk_ug_per_sqrt_hz": grade.accel_random_walk_ug_per_sqrt_hz,
-        "accel_scale_ppm": grade.accel_scale_ppm,
+        "accel_scale_ppm": math.hypot(grade.accel_scale_ppm, accel_scale, float(accel_grown.max())),
         "gyro_axes_ppm": gyro_axes,
         "accel_axes_ppm": accel_axes,
         "correlation_s": grade.correlation_s,
@@ -309,7 +330,7 @@ def config_toml(wiring: Wiring, mavlink_url: str | None) -> str:
         ),
         "",
         "[navigator.main.imu_errors]",
-        *(f"{key} = {value!r}" for key, value in imu_errors(wiring.grade).items()),
+        *(f"{key} = {value!r}" for key, value in imu_errors(wiring.grade, s.imu).items()),
         *_transfer(s),
         "",
         "[sink.solution]",

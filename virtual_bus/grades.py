@@ -286,6 +286,16 @@ def _powers(rng: np.random.Generator, n: int, slope: float) -> Array:
     return np.asarray(slope * rng.standard_normal((n, _POWERS)) / _AWAY_DEG_C ** np.arange(_POWERS))
 
 
+def thermal(slope: float, course: Array) -> tuple[float, Array]:
+    """One sigma of an error that follows temperature by ``slope`` per degC, as drawn by `_powers`.
+
+    At the first of ``course`` (n,) degC, and (n,) of what it has moved by since, in ``slope`` times degC.
+    """
+    powers = np.arange(1, _POWERS + 1)
+    values = slope / _AWAY_DEG_C ** (powers - 1.0) * (course[:, None] - REFERENCE_DEG_C) ** powers
+    return float(np.linalg.norm(values[0])), np.linalg.norm(values - values[0], axis=1)
+
+
 def _draw_more(
     rng: np.random.Generator, grade: Grade, nominal: Array, k: float
 ) -> tuple[dict[str, Array], ...]:

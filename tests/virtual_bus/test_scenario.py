@@ -11,10 +11,12 @@ from bridge.config import Config
 from virtual_bus import scenario
 from virtual_bus.bus import CALIBRATION, Bench
 from virtual_bus.configuration import imu_errors
-from virtual_bus.grades import ARCSEC, DEG_PER_H, GRADES, UG
+from virtual_bus.grades import ARCSEC, DEG_PER_H, GRADES, REFERENCE_DEG_C, UG, draw_imu
 from virtual_bus.scenario import ScenarioError
+from virtual_bus.tables import ImuTable
 from virtual_bus.truth import mounting_matrix
 
+UNITS = 200
 NAMES = sorted(scenario.packaged())
 GOOD = """
 title = "t"
@@ -79,9 +81,43 @@ def test_lever_arms_are_told_in_imu_axes():
 
 def test_noise_figures_say_at_least_what_the_unit_does():
     for grade in GRADES.values():
-        figures = imu_errors(grade)
+        figures = imu_errors(grade, ImuTable())
         assert figures["accel_bias_ug"] >= grade.accel_bias_ug
         assert figures["gyro_random_walk_deg_per_sqrt_h"] == grade.gyro_random_walk_deg_per_sqrt_h
+
+
+@pytest.mark.parametrize("cold", [25.0, 10.0, -40.0])
+def test_noise_figures_cover_what_calibration_leaves_of_temperature_and_force(cold):
+    grade, imu = GRADES["dtg"], ImuTable(temperature_deg_c=(cold, 40.0), warm_up_s=300.0)
+    figures = imu_errors(grade, imu)
+    units = [draw_imu(grade, np.random.default_rng(seed)) for seed in range(UNITS)]
+    t = np.array([0.0, 30.0, 100.0, 300.0, 378.0, 600.0, 1500.0])
+    away = 40.0 - (40.0 - cold) * np.exp(-t / 300.0) - REFERENCE_DEG_C
+    powers = np.stack((away, away**2))
+    for name, unit, sheet, size, standing in (
+        ("gyro", "deg_per_h", "calibrated_gyro", DEG_PER_H, 1.0),
+        ("accel", "ug", "calibrated_accel", UG, 0.0),
+    ):
+        left = [
+            (getattr(u, name).bias_temperature - getattr(u, sheet).bias_temperature) @ powers for u in units
+        ]
+        drift = np.reshape(left, (-1, len(t))) / size
+        # what it is at first, with what the force at rest adds to the drift of gyros
+        force = standing * grade.gyro_g_sensitivity_deg_per_h_per_g
+        constant = np.hypot(getattr(grade, f"{name}_bias_{unit}"), force)
+        first = np.hypot(constant, np.sqrt(np.mean(drift[:, 0] ** 2)))
+        # 3 sigmas of an rms of so many
+        most = 1.0 + 3.0 / np.sqrt(2.0 * len(drift))
+        assert first < most * figures[f"{name}_bias_{unit}"]
+        # what it moves by from then on, beside the walk of the sensor itself
+        moved = np.mean((drift[:, 1:] - drift[:, :1]) ** 2, axis=0)
+        own, said = (2.0 * one**2 / grade.correlation_s for one in (
+            getattr(grade, f"{name}_instability_{unit}"), figures[f"{name}_instability_{unit}"]
+        ))  # fmt: skip
+        ratio = np.sqrt(moved / ((said - own) * t[1:]))
+        assert ratio.max() < most
+        # and no more than that: at some instant it is as much
+        assert ratio.max() > 0.8
 
 
 def test_cut_and_extended(tmp_path):
