@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nav.jit import in_place, kernel
-from nav.rotation import rotate
+from nav.rotation import exponential, rotate
 from nav.strapdown.kernels import X_Q
 from nav.transfer.states import ACCEL_AXES, ACCEL_BIAS, GYRO_AXES, GYRO_BIAS, X_REST, place
 
@@ -25,12 +25,13 @@ CHANGE_S: Final = 0.02
 # Places in what `instant` makes.
 I_W: Final = 0  # rate in b against inertial space, corrected, rad/s, 3
 I_DW: Final = 3  # its change, rad/s^2, 3
-I_A: Final = 6  # rate of v_n, m/s^2, 3
-I_TURNS: Final = 9  # turned between it and the spread earlier, and as much later, in b, rad, 3 + 3
-I_RATES: Final = 15  # rate at these times, less that at the instant, rad/s, 3 + 3
-I_SIGMA: Final = 21  # of the noise of the rate, rad/s
-I_SPREAD: Final = 22  # sqrt(3) sigma of the delay, s; zero where that is shorter than a rate takes
-I_SIZE: Final = 23
+I_TURNS: Final = 6  # turned between it and a way earlier, and as much later, in b, rad, 3 + 3
+I_RATES: Final = 12  # rate at these times, less that at the instant, rad/s, 3 + 3
+I_GAINED: Final = 18  # v_n at these times, less that at the instant, m/s, 3 + 3
+I_SIGMA: Final = 24  # of the noise of the rate, rad/s
+I_SPREAD: Final = 25  # sqrt(3) sigma of the delay, s
+I_WAY: Final = 26  # so long before and after is looked at: that, or half of what a change is taken over, s
+I_SIZE: Final = 27
 
 _BIAS: Final = place(GYRO_BIAS).start
 _AXES: Final = place(GYRO_AXES).start
@@ -88,18 +89,21 @@ def turned(
 
 
 @kernel
-def _felt(
-    x: Vector, t_ns: Times, rows: Matrix, count: int, first_ns: int, last_ns: int
+def _gained(
+    x: Vector, t_ns: Times, rows: Matrix, count: int, first_ns: int, last_ns: int, turn: Vector, pull: Vector
 ) -> tuple[float, float, float]:
-    """Mean specific force, m/s^2 in n by the attitude in ``x``, corrected, between two such times."""
+    """Gain of v_n, m/s, corrected, between two such times; ``turn`` (3,) rad in b takes x to their middle."""
     a, b, c = _between(t_ns, rows, count, first_ns, last_ns, 4)
-    s, o, r = 1e9 / (last_ns - first_ns), _ACCEL, X_REST
-    a, b, c = s * a - x[o], s * b - x[o + 1], s * c - x[o + 2]
-    d, e, f, o = a - x[r], b - x[r + 1], c - x[r + 2], _ACCEL_AXES
+    s, o, r = (last_ns - first_ns) * 1e-9, _ACCEL, X_REST
+    a, b, c = a - s * x[o], b - s * x[o + 1], c - s * x[o + 2]
+    d, e, f, o = a - s * x[r], b - s * x[r + 1], c - s * x[r + 2], _ACCEL_AXES
     a -= x[o] * d + x[o + 1] * e + x[o + 2] * f
     b -= x[o + 3] * d + x[o + 4] * e + x[o + 5] * f
     c -= x[o + 6] * d + x[o + 7] * e + x[o + 8] * f
-    return rotate(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3], a, b, c)
+    u, i, j, k = exponential(turn[0], turn[1], turn[2])
+    a, b, c = rotate(u, i, j, k, a, b, c)
+    a, b, c = rotate(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3], a, b, c)
+    return a + s * pull[0], b + s * pull[1], c + s * pull[2]
 
 
 @kernel
@@ -126,8 +130,7 @@ def instant(
 
     ``rows`` as `nav.transfer.kernels.run` takes them, ``count`` of them, end at ``t_ns``; biases by ``x``
     (X_SIZE,). ``angle_random_walk`` rad/sqrt(s); ``pull`` (3,) m/s^2 is what changes v_n besides specific
-    force. That is taken over the same time as the change of the rate, so that what the arm swings by in a
-    vibration is in both.
+    force. All are taken over the same times, so that what the arm swings by is in all of them.
     """
     out = np.zeros(I_SIZE)
     half = round(max(0.5 * RATE_S, rows[find(t_ns, count, at_ns), 0]) * 1e9)
@@ -139,18 +142,15 @@ def instant(
         out[I_W + k] = w[k]
         out[I_DW + k] = (later[k] - sooner[k]) / CHANGE_S
     out[I_SIGMA] = angle_random_walk / math.sqrt(2e-9 * half)
-    known = spread < half * 1e-9
-    way = some if known else round(spread * 1e9)
+    way = max(some, round(spread * 1e9))
+    out[I_SPREAD], out[I_WAY] = spread, way * 1e-9
     newest = t_ns[count - 1]
-    felt = _felt(x, t_ns, rows, count, at_ns - way, min(at_ns + way, newest))
-    for k in range(3):
-        out[I_A + k] = felt[k] + pull[k]
-    if known:
-        return out
-    out[I_SPREAD] = spread
+    middle = np.empty(3)
     for i in range(2):
+        sign = 1.0 if i == 1 else -1.0
         there = at_ns - way if i == 0 else at_ns + way
-        turn = turned(x, t_ns, rows, count, min(at_ns, there), max(at_ns, there))
+        first, last = min(at_ns, there), max(at_ns, there)
+        turn = turned(x, t_ns, rows, count, first, last)
         reach = half if i == 0 else min(half, newest - there)
         if reach > 0:
             u = _rate(x, t_ns, rows, count, there, reach)
@@ -158,4 +158,8 @@ def instant(
                 out[I_RATES + 3 * i + k] = u[k] - w[k]
         for k in range(3):
             out[I_TURNS + 3 * i + k] = turn[k]
+            middle[k] = 0.5 * sign * turn[k]
+        gained = _gained(x, t_ns, rows, count, first, last, middle, pull)
+        for k in range(3):
+            out[I_GAINED + 3 * i + k] = sign * gained[k]
     return out

@@ -22,7 +22,7 @@ from nav.jit import in_place, kernel
 from nav.rotation import exponential, logarithm, multiply, quat_from_dcm, rotate
 from nav.strapdown.kernels import X_C, X_H, X_Q, X_V, cross
 from nav.transfer.covariance import MARKOV
-from nav.transfer.instant import CHANGE_S, I_A, I_DW, I_RATES, I_SIGMA, I_SPREAD, I_TURNS, I_W
+from nav.transfer.instant import I_GAINED, I_RATES, I_SIGMA, I_SPREAD, I_TURNS, I_W, I_WAY
 from nav.transfer.states import (
     ACCEL_BIAS,
     DELAY,
@@ -228,8 +228,17 @@ def dated(
 @in_place
 def _own_change(now: Vector, t: Vector) -> float:
     """Sigma of how fast the slave's own rate changes, rad/s^2, as it is seen over the spread of the delay."""
-    spread = now[I_SPREAD] if now[I_SPREAD] > 0.0 else 0.5 * CHANGE_S
-    return float(t[T_OWN] / (math.sqrt(2.0) * spread))
+    return float(t[T_OWN] / (math.sqrt(2.0) * now[I_WAY]))
+
+
+@in_place
+def _line(before: Three, after: Three, now: Vector) -> tuple[Three, Three]:
+    """Slope and bend for `dated` of what rows gain, were the message a way earlier and a way later."""
+    half = 0.5 / now[I_WAY]
+    share = now[I_SPREAD] / now[I_WAY]
+    k = 0.5 * share * share
+    slope = half * (before[0] - after[0]), half * (before[1] - after[1]), half * (before[2] - after[2])
+    return slope, (k * (before[0] + after[0]), k * (before[1] + after[1]), k * (before[2] + after[2]))
 
 
 @kernel
@@ -275,8 +284,6 @@ def velocity_rows(
     wx, wy, wz = s[E_W], s[E_W + 1], s[E_W + 2]
     px, py, pz = cross(wx, wy, wz, bx, by, bz)
     swing = _turn(x, X_Q, px, py, pz)
-    px, py, pz = cross(wx, wy, wz, px, py, pz)
-    inward = _turn(x, X_Q, px, py, pz)
     cosine, sine = s[E_TURN], s[E_TURN + 1]
     r[0] = x[X_V] - (cosine * m[A_V] - sine * m[A_V + 1]) - swing[0]
     r[1] = x[X_V + 1] - (sine * m[A_V] + cosine * m[A_V + 1]) - swing[1]
@@ -297,22 +304,19 @@ def velocity_rows(
         ux, uy, uz = _turn(s, E_BA, ux, uy, uz)
         ux, uy, uz = cross(wx, wy, wz, ux, uy, uz)
         _put(H, _MOUNTING + k, -1.0, _turn(x, X_Q, ux, uy, uz))
-    # of the master's point: without what the arm adds, whose rate may change in that time
-    spread, i, j = now[I_SPREAD], I_RATES, I_RATES + 3
-    bend = 0.0, 0.0, 0.0
-    px, py, pz = now[I_DW], now[I_DW + 1], now[I_DW + 2]
-    if spread > 0.0:
-        ux, uy, uz = now[i] + now[j], now[i + 1] + now[j + 1], now[i + 2] + now[j + 2]
-        ux, uy, uz = cross(bx, by, bz, -0.5 * ux, -0.5 * uy, -0.5 * uz)
-        bend = _turn(x, X_Q, ux, uy, uz)
-        half = 0.5 / spread
-        px, py = half * (now[j] - now[i]), half * (now[j + 1] - now[i + 1])
-        pz = half * (now[j + 2] - now[i + 2])
-    px, py, pz = cross(bx, by, bz, px, py, pz)
-    px, py, pz = _turn(x, X_Q, px, py, pz)
-    slope = now[I_A] - inward[0] + px, now[I_A + 1] - inward[1] + py, now[I_A + 2] - inward[2] + pz
+    # of the master's point: without what the arm adds
+    gains = np.empty((2, 3))
+    for n in range(2):
+        sign, i, j = 1.0 if n == 1 else -1.0, I_TURNS + 3 * n, I_RATES + 3 * n
+        ux, uy, uz = cross(wx + now[j], wy + now[j + 1], wz + now[j + 2], bx, by, bz)
+        a, b, c, d = exponential(sign * now[i], sign * now[i + 1], sign * now[i + 2])
+        ux, uy, uz = rotate(a, b, c, d, ux, uy, uz)
+        swung = _turn(x, X_Q, ux, uy, uz)
+        for k in range(3):
+            gains[n, k] = swung[k] - swing[k] - now[I_GAINED + 3 * n + k]
+    slope, bend = _line((gains[0, 0], gains[0, 1], gains[0, 2]), (gains[1, 0], gains[1, 1], gains[1, 2]), now)
     own = _own_change(now, t) * math.sqrt(bx * bx + by * by + bz * bz)
-    straight, share = dated(slope, bend, t[T_VELOCITY], spread, own, True, r, H, R)
+    straight, share = dated(slope, bend, t[T_VELOCITY], now[I_SPREAD], own, True, r, H, R)
     noise = now[I_SIGMA] * now[I_SIGMA]
     for i in range(3):
         for j in range(3):
@@ -342,19 +346,17 @@ def attitude_rows(
         axis = _turn(s, E_NA, e, f, g)
         _put(H, _MOUNTING + k, -1.0, axis)
         _put(H, _FLEXURE + k, -1.0, axis)
-    spread, i, j = now[I_SPREAD], I_TURNS, I_TURNS + 3
-    bend = 0.0, 0.0, 0.0
-    px, py, pz = s[E_W], s[E_W + 1], s[E_W + 2]
-    if spread > 0.0:
-        # the Earth's turn is the same before and after
-        ux, uy, uz = 0.5 * (now[i] - now[j]), 0.5 * (now[i + 1] - now[j + 1]), 0.5 * (now[i + 2] - now[j + 2])
-        bend = _turn(x, X_Q, ux, uy, uz)
-        half = 0.5 / spread
-        px += half * (now[i] + now[j]) - now[I_W]
-        py += half * (now[i + 1] + now[j + 1]) - now[I_W + 1]
-        pz += half * (now[i + 2] + now[j + 2]) - now[I_W + 2]
-    slope = _turn(x, X_Q, px, py, pz)
-    return dated(slope, bend, t[T_ATTITUDE], spread, t[T_OWN], True, r, H, R)
+    # the Earth's turn is the same before and after
+    i, j, way = I_TURNS, I_TURNS + 3, now[I_WAY]
+    ux, uy, uz = (
+        way * (now[I_W] - s[E_W]),
+        way * (now[I_W + 1] - s[E_W + 1]),
+        way * (now[I_W + 2] - s[E_W + 2]),
+    )
+    before = _turn(x, X_Q, now[i] - ux, now[i + 1] - uy, now[i + 2] - uz)
+    after = _turn(x, X_Q, ux - now[j], uy - now[j + 1], uz - now[j + 2])
+    slope, bend = _line(before, after, now)
+    return dated(slope, bend, t[T_ATTITUDE], now[I_SPREAD], t[T_OWN], True, r, H, R)
 
 
 @kernel
@@ -377,11 +379,7 @@ def rate_rows(
         turn = _turn(s, E_BA, ux, uy, uz)
         _put(H, _MOUNTING + k, -1.0, turn)
         _put(H, _FLEXURE + k, -1.0, turn)
-    spread, i, j = now[I_SPREAD], I_RATES, I_RATES + 3
-    bend, slope = (0.0, 0.0, 0.0), (now[I_DW], now[I_DW + 1], now[I_DW + 2])
-    if spread > 0.0:
-        half = 0.5 / spread
-        bend = -0.5 * (now[i] + now[j]), -0.5 * (now[i + 1] + now[j + 1]), -0.5 * (now[i + 2] + now[j + 2])
-        slope = half * (now[j] - now[i]), half * (now[j + 1] - now[i + 1]), half * (now[j + 2] - now[i + 2])
+    i, j = I_RATES, I_RATES + 3
+    slope, bend = _line((-now[i], -now[i + 1], -now[i + 2]), (-now[j], -now[j + 1], -now[j + 2]), now)
     sigma = math.hypot(t[T_RATE], now[I_SIGMA])
-    return dated(slope, bend, sigma, spread, _own_change(now, t), False, r, H, R)
+    return dated(slope, bend, sigma, now[I_SPREAD], _own_change(now, t), False, r, H, R)

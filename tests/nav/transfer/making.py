@@ -19,7 +19,7 @@ from nav.align.types import AlignConfig, TransferConfig, advance, begin, result
 from nav.errors.model import error_dynamics
 from nav.filter import states as house
 from nav.transfer import alignment, model
-from nav.transfer.instant import I_SIZE, I_W
+from nav.transfer.instant import I_RATES, I_SIZE, I_TURNS, I_W, I_WAY
 from nav.transfer.states import SIZE
 from nav.types import ImuSample, MasterState
 
@@ -266,6 +266,8 @@ def shown(kind, x, w_b, m, transfer):
     """Residual (3,) and H (3, SIZE) of a kind of rows, where the slave turns evenly by ``w_b``."""
     now = np.zeros(I_SIZE)
     now[I_W : I_W + 3] = w_b
+    now[I_WAY] = 0.01
+    now[I_TURNS:I_RATES] = 0.01 * np.tile(w_b, 2)
     r, H, R = np.empty(3), np.empty((3, SIZE)), np.empty((3, 3))
     seen, told = model.master(m), model.told(transfer)
     kind(x, now, seen, told, model.scene(x, now, seen, told), r, H, R)

@@ -12,14 +12,15 @@ from nav.strapdown.mechanize import NavState, update
 from nav.transfer import model
 from nav.transfer.correction import correct
 from nav.transfer.instant import (
-    I_A,
     I_DW,
+    I_GAINED,
     I_RATES,
     I_SIGMA,
     I_SIZE,
     I_SPREAD,
     I_TURNS,
     I_W,
+    I_WAY,
     instant,
 )
 from nav.transfer.kernels import S_DT, S_FB, S_SIZE, S_WB, run
@@ -176,16 +177,58 @@ def test_an_instant_is_what_the_samples_say() -> None:
     kept = np.eye(3) - M
     assert now[I_W : I_W + 3] == pytest.approx(kept @ w, rel=1e-12)
     assert now[I_DW : I_DW + 3] == pytest.approx(kept @ dw, rel=1e-9)
-    # as much before as after, however its force changes
-    told = f - M @ (f - x[X_REST:])
-    assert now[I_A : I_A + 3] == pytest.approx(rot.quat_rotate(x[0:4], told) + pull, rel=1e-9)
     # a sample long to either side: 8 ms
     assert now[I_SIGMA] == pytest.approx(1e-4 / np.sqrt(0.008), rel=1e-12)
-    assert now[I_SPREAD] == pytest.approx(0.02)
+    assert now[[I_SPREAD, I_WAY]] == pytest.approx(0.02)
+    kept_f = np.eye(3) - x[place(ACCEL_AXES)].reshape(3, 3)
     for k, sign in enumerate((-1.0, 1.0)):
         turn, rate = now[I_TURNS + 3 * k :][:3], now[I_RATES + 3 * k :][:3]
         assert turn == pytest.approx(kept @ (w * 0.02 + sign * dw * 0.02**2 / 2.0), rel=1e-9)
         assert rate == pytest.approx(kept @ (sign * dw * 0.02), rel=1e-9)
+        mean = f + sign * jerk * 0.01
+        mean = x[X_REST:] + kept_f @ (mean - x[X_REST:])
+        half = rot.quat_multiply(x[0:4], rot.quat_from_rotvec(0.5 * sign * turn))
+        gained = sign * 0.02 * (rot.quat_rotate(half, mean) + pull)
+        assert now[I_GAINED + 3 * k :][:3] == pytest.approx(gained, rel=1e-9)
+    # a delay that is known to less than a change is taken over
+    now = instant(x, t_ns, rows, 40, 80_000_000, 0.001, 1e-4, pull)
+    assert now[[I_SPREAD, I_WAY]] == pytest.approx([0.001, 0.01])
+
+
+def test_an_arm_that_swings_tells_no_delay() -> None:
+    """The slave swings about a master that flies straight on: nothing of the slope of velocity is left.
+
+    A roll of 60 deg/s, gathered within a third of a second; 8 m/s^2 at the arm's end. What is left is of the
+    samples' ends: 1 % of it.
+    """
+    dt, arm = 0.004, np.array([3.0, 0.0, 0.5])
+    t = dt * np.arange(41)
+
+    def roll(t):
+        return 3.0 * (t - 0.08) ** 2 + 0.6 * (t - 0.08)
+
+    def rate(t):
+        return 6.0 * (t - 0.08) + 0.6
+
+    x = np.zeros(X_SIZE)
+    x[0] = 1.0
+    x[7:16] = np.eye(3).ravel()
+    q = rot.quat_from_rotvec(np.outer(roll(t), [0.0, 1.0, 0.0]))
+    v = rot.quat_rotate(q, np.cross(np.outer(rate(t), [0.0, 1.0, 0.0]), arm))
+    middle = rot.quat_conjugate(0.5 * (q[1:] + q[:-1]))
+    gained = rot.quat_rotate(middle, np.diff(v, axis=0))
+    rows = np.column_stack([np.full(40, dt), np.outer(np.diff(roll(t)), [0.0, 1.0, 0.0]), gained])
+    t_ns = np.round(t[1:] * 1e9).astype(np.int64)
+    transfer = TransferConfig(lever_arm=arm)
+    m = MasterState(0, 0.6, 0.3, 0.0, np.zeros(3), None, None, None, *(np.ones(3),) * 3, True, "")
+    seen, told = model.master(m), model.told(transfer)
+    r, H, R = np.empty(3), np.empty((3, SIZE)), np.empty((3, 3))
+    for spread in (0.0, 0.05):
+        now = instant(x, t_ns, rows, 40, 80_000_000, spread, 0.0, np.zeros(3))
+        scene = model.scene(x, now, seen, told)
+        straight, _ = model.velocity_rows(x, now, seen, told, scene, r, H, R)
+        assert straight
+        assert np.all(np.abs(H[:, DELAY]) < 0.08), (spread, H[:, DELAY])
 
 
 def test_both_sides_tell_how_they_moved() -> None:
