@@ -65,12 +65,14 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "--manoeuvre",
         metavar="NAME",
+        type=_dashed,
         choices=sorted(FLIGHTS),
         help="of a scenario with a master, what is flown, sailed or driven: " + ", ".join(FLIGHTS),
     )
     parser.add_argument(
         "--matching",
         metavar="NAME",
+        type=_dashed,
         choices=[_dashed(name) for name in MATCHINGS],
         help="of a scenario with a master, what is compared with it: " + ", ".join(map(_dashed, MATCHINGS)),
     )

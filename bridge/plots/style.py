@@ -35,6 +35,7 @@ _HEAD: Final = 0.66  # inches kept for the title
 MODE_COLOURS: Final = {
     Mode.STANDBY: "#EEF0F2",
     Mode.ALIGN: "#FFF3D6",
+    Mode.TRANSFER: "#E4F3E6",
     Mode.CATCH_UP: "#E6E0F8",
     Mode.DEGRADED: "#FBE3E0",
     Mode.FAULT: "#F5B7B1",

@@ -80,6 +80,8 @@ class TransferSink:
             told = known.sigma if when == "at the hand-over" or self._handed_ns is None else None
             lines.append(_row(row, relative, told))
             lines.append(_row(f"against truth, {when}", absolute, tuple(solution.state[S.SIGMA_PHI])))
+        if not any(name.startswith("mounting") for name, _ in known.observability):
+            return lines
         found = zip(known.mounting, known.sigma_mounting, strict=True)
         mounting = ", ".join(f"{math.degrees(x):.3f} ± {math.degrees(sigma):.3f}" for x, sigma in found)
         return [*lines, f"mounting found beyond the configured one: {mounting} deg about right, forward, up"]

@@ -18,7 +18,7 @@ from bridge.outputs import ModeChange, Transfer
 from bridge.studies.transfer_end import TransferSink, misalignment
 from bridge.view import ViewSink
 from bridge.view_screen import plain_line
-from nav.transfer import matching
+from nav.transfer import MATCHINGS, matching
 from nav.types import Mode
 from tests.sinks.made import out, solution
 from tests.sinks.test_can_solution import DBC, read, sink
@@ -69,7 +69,7 @@ def test_every_manoeuvre_that_a_matching_asks_for_has_its_number_on_the_wire() -
     said = {str(name).lower(): number for number, name in choices.items()}
     assert said == {(hint or "none").lower(): number for hint, number in HINTS.items()}
     ways = [one for one in vars(matching).values() if isinstance(one, matching.Matching)]
-    assert len(ways) == 8
+    assert {one.name for one in ways} == set(MATCHINGS)
     assert {hint for one in ways for hint in (one.level, one.heading)} <= set(HINTS)
 
 
@@ -146,6 +146,10 @@ def test_the_end_is_told_against_master_and_truth() -> None:
     sunk.consume([out(there), ModeChange(5 * SECOND_NS, "main", Mode.TRANSFER, Mode.NAVIGATE, "aligned")])
     lines = sunk.lines()
     assert lines[0].endswith("handed over after 5.0 s")
+    # this one did not look for the mounting
+    assert not any("mounting" in line for line in lines)
+    sunk.consume([known(observability=(*LEFT, ("mounting right", 0.1)))])
+    assert "mounting found beyond the configured one: -0.043 ± 0.028, 0.500" in sunk.lines()[-1]
     (row,) = [line for line in lines if line.startswith("against truth, at the hand-over")]
     assert [float(x) for x in row.split()[-6:-3]] == pytest.approx([0.0] * 3, abs=0.006)
     with pytest.raises(ValueError, match="no master"):
@@ -156,7 +160,8 @@ def test_a_demo_aligns_a_slave_and_says_how_well(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words = ["demo", "transfer", "--manoeuvre", "wing-rock", "--matching", "velocity-attitude"]
+    # either spelling
+    words = ["demo", "transfer", "--manoeuvre", "wing-rock", "--matching", "velocity_attitude"]
     quick = ["--seconds", "7", "--speed", "max", "--mavlink", "none", "--no-view", "--out", "d.mcap"]
     assert main([*words, *quick]) == 0
     said = capsys.readouterr().out
