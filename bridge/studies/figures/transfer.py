@@ -148,8 +148,8 @@ _NOTES: Final = (
     "missed when the lower end of the 95 % interval is above it. Against truth the master's own error is "
     "added to the bound. Where a matching has too few states for that, what a filter of these states can "
     "know is enough, if the row NEES says that it is right about it; both stand beside the bound.",
-    "Velocity shows heading where the path turns. In straight flight heading stays as well known as the "
-    "mounting, 5.2 mrad, with five states or eleven; the document promises none there.",
+    "Velocity shows heading where the path turns. In straight flight heading is no better known than the "
+    "mounting, 5.2 mrad, and less and less as gyros drift, with five states or eleven. The document says so.",
     "Slave 1 deg/h, 0.1 deg/sqrt(h), 1 mg, mounted to 0.3 deg about each axis, lever arm known to 2 cm, "
     "messages dated to 10 ms; master 0.1 mrad level, 1 mrad heading, 0.5 m/s, 0.02 m/s and 0.3 mrad of noise "
     "a message, 25 messages a second in flights of seconds, 1 in long ones; the wing bends by 0.3 mrad "
