@@ -26,6 +26,8 @@ _DEG: Final = math.pi / 180.0
 _DEG_PER_H: Final = _DEG / 3600.0
 _DEG_PER_SQRT_H: Final = _DEG / 60.0
 _UG: Final = 1e-6 * 9.80665
+_SYNCHRONISED_MS: Final = 1.0
+_UNSYNCHRONISED_MS: Final = 40.0
 
 
 def provided(name: str, config: Config) -> dict[str, list[str]]:
@@ -77,7 +79,7 @@ def navigator_config(name: str, config: Config) -> NavigatorConfig:
         (getattr(config.devices[device], "m_per_tick", 0.0) for device in kinds.get("odometer", [])),
         default=0.0,
     )
-    align = _align(config.file, key, options, errors, C_vb, quantum)
+    align = _align(config.file, key, options, errors, C_vb, quantum, _latency(name, kinds, config))
     _check_needs(config.file, key, options.alignment, lack(alignment(options.alignment), kinds, align))
     rolls = "odometer" in kinds
     moves = rolls or "speed" in kinds
@@ -172,7 +174,25 @@ def _turned(angles_deg: Three) -> Vector:
     return dcm_from_euler(heading, pitch, roll)
 
 
-def _transfer(table: TransferOptions) -> TransferConfig:
+def _latency(name: str, kinds: dict[str, list[str]], config: Config) -> float:
+    """Sigma of the dating of a navigator's master, s: as told, or by whether it has the IMU's clock."""
+    told_ms = config.navigators[name].transfer.latency_sigma_ms
+    if told_ms is None:
+        clocks = {_clock(one, config) for kind in ("imu", "master") for one in kinds.get(kind, [])}
+        told_ms = _UNSYNCHRONISED_MS if None in clocks or len(clocks) > 1 else _SYNCHRONISED_MS
+    return told_ms * 1e-3
+
+
+def _clock(name: str, config: Config) -> str | None:
+    """The clock that a device shares, or that of the IMU of a navigator."""
+    device = config.devices.get(name)
+    if device is not None:
+        return device.clock
+    imus = provided(name, config).get("imu", [])
+    return config.devices[imus[0]].clock if len(imus) == 1 else None
+
+
+def _transfer(table: TransferOptions, latency: float) -> TransferConfig:
     return TransferConfig(
         lever_arm=np.array(table.lever_arm_m),
         sigma_lever_arm=table.lever_arm_sigma_m,
@@ -183,7 +203,7 @@ def _transfer(table: TransferOptions) -> TransferConfig:
         sigma_position=table.position_noise_m,
         sigma_rate=table.rate_noise_deg_per_s * _DEG,
         vertical_walk=table.vertical_walk_m_s_per_sqrt_s,
-        latency=table.latency_sigma_ms * 1e-3,
+        latency=latency,
         latest_s=table.latest_ms * 1e-3,
         flexure=None if table.flexure_mrad is None else 1e-3 * np.array(table.flexure_mrad),
         flexure_time=np.array(table.flexure_s),
@@ -222,6 +242,7 @@ def _align(
     imu: ImuErrors,
     C_vb: Vector | None,
     quantum: float,
+    latency: float,
 ) -> AlignConfig:
     table = options.align
     position = heading = attitude = None
@@ -262,5 +283,5 @@ def _align(
         odometer_walk=options.odometer_walk_m_per_sqrt_m,
         sigma_mounting=options.mounting_sigma_deg * _DEG,
         slip=table.slip_m_s,
-        transfer=_transfer(options.transfer),
+        transfer=_transfer(options.transfer, latency),
     )

@@ -159,8 +159,9 @@ class TransferOptions(Table):
     the master's axes (right, forward, up); ``mounting_deg`` is pitch, roll and heading of the IMU on the
     master's axes, one sigma about each of these ``mounting_sigma_deg``. The ``noise`` is that of one message,
     independent of the next. Its vertical velocity, held by a barometer, wanders by
-    ``vertical_walk_m_s_per_sqrt_s`` besides. Its dating is late by a constant of ``latency_sigma_ms``; a
-    message older than ``latest_ms`` is of no use.
+    ``vertical_walk_m_s_per_sqrt_s`` besides. Its dating is late by a constant of ``latency_sigma_ms``: by
+    default 1 where the master has the same ``clock`` as the IMU, and else 40, as straight on nothing would
+    show a tenth of a second. A message older than ``latest_ms`` is of no use.
 
     ``flexure_mrad``, about right, forward and up, which is forgotten within ``flexure_s``, is estimated where
     it is given; otherwise it belongs into the noise of the attitude.
@@ -180,7 +181,7 @@ class TransferOptions(Table):
     position_noise_m: Positive = 2.0
     rate_noise_deg_per_s: Positive = 0.06
     vertical_walk_m_s_per_sqrt_s: NotNegative = 0.01
-    latency_sigma_ms: NotNegative = 10.0
+    latency_sigma_ms: NotNegative | None = None
     latest_ms: Positive = 500.0
     flexure_mrad: Sigmas | None = None
     flexure_s: tuple[Positive, Positive, Positive] = (0.5, 0.5, 0.5)

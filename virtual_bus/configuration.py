@@ -56,6 +56,7 @@ _SHARP_RAD_S: Final = 0.5
 _ALIGN_MARGIN_S: Final = 4.0
 _TRANSFER_S: Final = 5.0
 _TRANSFER_MRAD: Final = 1.0
+_DATED_MS: Final = 10.0  # of the master's messages: one sigma
 _COARSE_S: Final = 60.0
 _WARMING: Final = np.linspace(0.0, 6.0, 121)
 """Instants of warming up, in its time constants."""
@@ -229,6 +230,7 @@ def _transfer(s: Scenario) -> list[str]:
         f"lever_arm_m = {_vector(s.lever_arm())}",
         f"mounting_deg = {_vector(np.array(s.vehicle.mounting_deg))}",
         *(f"{key} = {value!r}" for key, value in noise.items()),
+        f"latency_sigma_ms = {_DATED_MS!r}",
         *bends,
         f"duration_s = {s.navigator.alignment_s or _TRANSFER_S!r}",
         f"sigma_mrad = {[_TRANSFER_MRAD] * 3!r}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 
 import numpy as np
@@ -94,6 +95,20 @@ def test_the_bench_tells_what_it_is() -> None:
     assert t.flexure == pytest.approx(1e-3 * np.array(scenario.flexure.sigma_mrad))
     assert t.sigma_velocity >= scenario.master.velocity_noise_m_s
     assert t.sigma_attitude >= 1e-3 * scenario.master.attitude_noise_mrad
+
+
+@pytest.mark.parametrize(
+    ("imu", "master", "expected"),
+    [(None, None, 0.04), ("a", None, 0.04), ("a", "b", 0.04), ("a", "a", 0.001)],
+)
+def test_dating_is_trusted_where_the_clock_is_the_same(imu, master, expected: float) -> None:
+    text = re.sub("latency_sigma_ms = .*\n", "", files()[ATTACHMENT].decode())
+    for device, clock in (("imu", imu), ("master", master)):
+        if clock is not None:
+            text = text.replace(f"[device.{device}]\n", f'[device.{device}]\nclock = "{clock}"\n')
+    t = navigator_config("main", config(text.encode())).align.transfer
+    assert t is not None
+    assert t.latency == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("name", MATCHINGS)

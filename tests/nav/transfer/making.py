@@ -97,6 +97,7 @@ class Set:
     sigma_pos: float = 1.0
     sigma_rate: float = 5e-4
     latency: float = 0.0  # of its dating
+    dated: float = 0.01  # to which that is told
     late: float = 0.02  # until a message is there
     heading: float = 0.3
 
@@ -284,6 +285,7 @@ def config(s, **changes):
         "sigma_attitude": s.sigma_att,
         "sigma_position": s.sigma_pos,
         "sigma_rate": s.sigma_rate,
+        "latency": s.dated,
         "flexure": s.flexure,
         "flexure_time": np.full(3, s.flexure_time),
     }

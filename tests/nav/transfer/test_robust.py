@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from nav.align.types import TransferConfig
 from nav.types import ImuSample, MasterState
-from tests.nav.transfer.making import T0_NS, Set, align, config, fly, surprise
+from tests.nav.transfer.making import T0_NS, Set, align, config, fly, straight, surprise
 
 AT_NS = T0_NS + 2_300_000_000  # in the midst of the roll
 LONG = Set(seconds=7.0, imu_hz=100.0)
@@ -80,20 +82,28 @@ def test_time_jump(jump_s: float) -> None:
     assert reasons[0] == f"the master's time jumped by {jump_s:.2f} s"
 
 
+def older(samples):
+    """A tenth of a second, all messages."""
+    for sample in samples:
+        yield sample._replace(t_ns=sample.t_ns + 100_000_000) if isinstance(sample, MasterState) else sample
+
+
 @pytest.mark.parametrize("matching", ["velocity_attitude", "velocity", "one_shot"])
 def test_latency_of_a_tenth_of_a_second(matching: str) -> None:
     """Said to be good to 10 ms: the roll shows that it is not."""
-
-    def older(samples):
-        for sample in samples:
-            yield (
-                sample._replace(t_ns=sample.t_ns + 100_000_000) if isinstance(sample, MasterState) else sample
-            )
-
     reasons, ended = outcome(matching, older)
     assert not ended
     if matching == "velocity_attitude":
         assert reasons[0].startswith("the delay of the master's messages is off by")
+
+
+@pytest.mark.parametrize("matching", ["velocity_attitude", "velocity", "one_shot"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_latency_straight_on(matching: str, seed: int) -> None:
+    """Nothing shows a tenth of a second there; 20 m are within what an unsynchronised master is worth."""
+    level = replace(LONG, profile=straight, seconds=5.5, dated=TransferConfig().latency)
+    _, ended = outcome(matching, older, config(level, sigma=np.full(3, 1.0)), seed, level)
+    assert ended
 
 
 def test_latency_that_was_allowed_for() -> None:
