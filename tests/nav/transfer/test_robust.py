@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from nav.align.types import TransferConfig
+from nav.transfer import MATCHINGS
 from nav.types import ImuSample, MasterState
 from tests.nav.transfer.making import T0_NS, Set, align, config, fly, straight, surprise
 
@@ -19,12 +20,12 @@ GOAL = np.full(3, 2e-3)
 WORST = chi2.ppf(0.999, 9)
 
 
-def masters(change):
-    """Messages of the master from `AT_NS` on are changed (None: do not arrive)."""
+def masters(change, from_ns=AT_NS):
+    """Messages of the master from `AT_NS` on, or from another time, are changed (None: do not arrive)."""
 
     def faulty(samples):
         for sample in samples:
-            late = isinstance(sample, MasterState) and sample.t_ns >= AT_NS
+            late = isinstance(sample, MasterState) and sample.t_ns >= from_ns
             sample = change(sample) if late else sample
             if sample is not None:
                 yield sample
@@ -170,3 +171,23 @@ def test_bad_messages_and_samples() -> None:
 
     reasons, _ = outcome("velocity_attitude", hole)
     assert reasons[0].startswith("no inertial data for 0.2")
+
+
+@pytest.mark.parametrize("matching", sorted(set(MATCHINGS) - {"velocity_rate"}))
+def test_a_master_that_tells_no_rates(matching: str) -> None:
+    """A platform tells attitude, velocity and position: enough for all but who compares rates."""
+    silent = masters(lambda m: m._replace(w_ia_a=None, f_a=None), 0)
+    reasons, ended = outcome(matching, silent, config(LONG, sigma=np.full(3, 1.0)))
+    assert reasons == []
+    assert ended
+
+
+@pytest.mark.parametrize("matching", ["velocity_attitude", "velocity_rate", "velocity", "one_shot"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_wing_that_bends_five_times_as_much(matching: str, seed: int) -> None:
+    """Said to be 0.3 mrad: who compares attitudes or rates refuses; who does not is not misled."""
+    flight_like = replace(LONG, flexure=np.full(3, 1.5e-3))
+    told = config(replace(LONG, flexure=np.full(3, 3e-4)), sigma=np.full(3, 1.0))
+    reasons, ended = outcome(matching, None, told, seed, flight_like)
+    assert ended != bool(reasons)
+    assert ended == (matching in ("velocity", "one_shot"))
