@@ -14,9 +14,8 @@ from nav.events import AlignmentProgress, NavEvent, Notice
 from nav.filter.settings import NavigatorConfig, align_config
 from nav.rotation import cross, dcm_from_quat, quat_from_dcm
 from nav.transfer import alignment
-from nav.transfer.model import place
 from nav.transfer.report import Report
-from nav.transfer.states import ACCEL_BIAS, GYRO_BIAS, PHI, POSITION, VELOCITY
+from nav.transfer.states import ACCEL_BIAS, GYRO_BIAS, PHI, POSITION, VELOCITY, place
 from nav.types import Mode, S, Sample, Solution, SolutionFlag, Vector
 
 _REPORT_NS: Final = 100_000_000
