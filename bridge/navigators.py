@@ -244,7 +244,10 @@ def _align(
     quantum: float,
     latency: float,
 ) -> AlignConfig:
-    table = options.align
+    table, transfer = options.align, options.transfer
+    if transfer.patience_s <= transfer.duration_s:
+        expected = f"more than its duration_s = {transfer.duration_s:g}"
+        raise wrong(file, f"{key}.transfer.patience_s", transfer.patience_s, expected)
     position = heading = attitude = None
     if table.position_deg_m is not None:
         lat, lon, height = table.position_deg_m
@@ -283,5 +286,5 @@ def _align(
         odometer_walk=options.odometer_walk_m_per_sqrt_m,
         sigma_mounting=options.mounting_sigma_deg * _DEG,
         slip=table.slip_m_s,
-        transfer=_transfer(options.transfer, latency),
+        transfer=_transfer(transfer, latency),
     )

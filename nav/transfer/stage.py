@@ -98,13 +98,26 @@ class Transfer:
 
     def message(self, m: MasterState) -> None:
         """Take a message of the master, in the order of arrival."""
-        if not m.valid or not _finite(m) or any(getattr(m, part) is None for part in self.matching.needs):
+        if self.began_ns is None:
             return
-        if self.began_ns is None or not self.watch.hear(m, self.slave.newest_ns):
+        expected = self._expected(m)
+        if expected:
+            self.watch.turn_away(expected, self.slave.newest_ns)
+            return
+        if not self.watch.hear(m, self.slave.newest_ns):
             return
         if m.t_ns - self.slave.newest_ns < AHEAD_NS:
             self.pending.append(m)
             self._work_off()
+
+    def _expected(self, m: MasterState) -> str:
+        """What a message of the master should be and is not; nothing if it is of use."""
+        if not m.valid or not _finite(m):
+            return "valid message"
+        needs = self.matching.needs
+        if m.q_ga is None and (not self.slave.started or "q_ga" in needs):
+            return "message with attitude"
+        return "message with rates" if m.w_ia_a is None and "w_ia_a" in needs else ""
 
     def _work_off(self) -> None:
         """Use the messages whose time has come by the inertial samples."""
@@ -120,7 +133,7 @@ class Transfer:
                 if t_ns <= slave.anchor_ns:
                     continue
                 self._compare(m, t_ns)
-            elif m.q_ga is not None and slave.covers(t_ns):
+            elif slave.covers(t_ns):
                 self._start(m)
             self.last = m
 

@@ -98,13 +98,14 @@ class Watch:
         self._ages: deque[float] = deque(maxlen=LOOK)
         self._jump = 0.0  # of the age of messages, s
         self._fresh_ns: int | None = None  # the last time that the master said something new
-        self._heard_ns: int | None = None  # the last that it said anything
+        self._heard_ns: int | None = None  # the last that it said anything of use, or the first that it did not
+        self._missing = "message"  # what there has been none of since then
         self._last: MasterState | None = None
 
     def hear(self, m: MasterState, now_ns: int) -> bool:
         """Note a message that arrives when the newest inertial sample is of ``now_ns``; whether it is new."""
         last, self._last = self._last, m
-        self._heard_ns = now_ns
+        self._heard_ns, self._missing = now_ns, "message"
         self._ages.append((now_ns - m.t_ns) * 1e-9)
         if len(self._ages) == LOOK:
             ages = list(self._ages)
@@ -115,6 +116,12 @@ class Watch:
         if new:
             self._fresh_ns = now_ns
         return new
+
+    def turn_away(self, expected: str, now_ns: int) -> None:
+        """Note a message that arrives at ``now_ns`` and is not what is ``expected``."""
+        self._missing = expected
+        if self._heard_ns is None:
+            self._heard_ns = now_ns
 
     def see(self, kind: str, t_ns: int, passed: bool, whitened: Matrix) -> bool:
         """Note rows: whitened residual, then columns `CAUSES` of H, (m, 1 + 7); whether to use them."""
@@ -135,10 +142,12 @@ class Watch:
     def cause(self, now_ns: int) -> str | None:
         """Why it cannot go on, or None."""
         heard, fresh = self._heard_ns, self._fresh_ns
-        if heard is None or fresh is None:
+        if heard is None:
             return None
         if now_ns - heard > self._lockout_ns:
-            return f"no message of the master for {(now_ns - heard) * 1e-9:.1f} s"
+            return f"no {self._missing} of the master for {(now_ns - heard) * 1e-9:.1f} s"
+        if fresh is None:
+            return None
         if heard - fresh > FROZEN_S * 1e9:
             return f"the master is frozen: it has said the same for {(heard - fresh) * 1e-9:.1f} s"
         refused = [name for name, kind in self.kinds.items() if kind.refuses]

@@ -182,6 +182,21 @@ def test_a_master_that_tells_no_rates(matching: str) -> None:
     assert ended
 
 
+@pytest.mark.parametrize(
+    ("matching", "change", "expected"),
+    [
+        ("velocity_rate", {"w_ia_a": None}, "message with rates"),
+        ("velocity", {"q_ga": None}, "message with attitude"),
+        ("one_shot", {"valid": False}, "valid message"),
+    ],
+)
+def test_a_master_that_never_tells_what_is_needed(matching: str, change, expected: str) -> None:
+    """It is told what, as often as nothing came for two seconds."""
+    reasons, ended = outcome(matching, masters(lambda m: m._replace(**change), 0))
+    assert not ended
+    assert re.fullmatch(f"no {expected} of the master for 2[.][01] s", reasons[0])
+
+
 @pytest.mark.parametrize("matching", ["velocity_attitude", "velocity_rate", "velocity", "one_shot"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_wing_that_bends_five_times_as_much(matching: str, seed: int) -> None:
