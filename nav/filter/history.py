@@ -36,7 +36,7 @@ from nav.filter.propagate import (
     solution_row,
 )
 from nav.filter.records import NEVER, Filter, Record, Snapshots
-from nav.filter.recovery import PATIENCE, agree, inflate
+from nav.filter.recovery import PATIENCE, agree, contradicted, inflate
 from nav.filter.states import X_PT
 from nav.jit import in_place
 from nav.types import ImuSample, S, Vector
@@ -341,6 +341,8 @@ class Timeline:
             self.events.append(Innovation(t_ns, m.name, shown, sigma, float(nis), accepted))
 
     def _believed(self, f: Filter, m: Measurement, shut_ns: int) -> bool:
+        if contradicted(m, f.books):
+            return False
         log = self._log[: f.cursor]
         since = f.books[m.name][2]
         refused = [r.refused for r in log if r.measurement is m and r.t_ns >= since and r.refused is not None]

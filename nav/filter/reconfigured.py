@@ -1,12 +1,13 @@
 """What a filter does when a redundant unit goes on with other sensors than before.
 
-Before a fault is found it has moved attitude and velocity by what the unit then says is owed. Without aids
+Before a fault is found it has moved attitude and velocity by what the unit then says it owes. Without aids
 all of that is still there, and is put right. Aids have taken out more or less of it, nobody knows how much:
 putting it right again would be as wrong, so the state stays and its covariance grows by it. And what aids do
-not let velocity show goes into tilt: as much as the fault has come to, which of one that grows is twice its
-mean. The biases of what is fused are other ones in any case: the weights of the sensors have changed. And so
-is its noise, (H^T R^-1 H)^-1 of sensors H with variances R, which grows along the axes of those that are
-gone: the filter has it from the first sample on that is made of the others.
+not let velocity show goes into tilt, or into biases, which miss it from now on: as much as the fault has come
+to, which of one that grows is twice its mean. The place is off by what such a velocity makes of it meanwhile.
+The biases of what is fused are other ones in any case: the weights of the sensors have changed. And so is its
+noise, (H^T R^-1 H)^-1 of sensors H with variances R, which grows along the axes of those that are gone: the
+filter has it from the first sample on that is made of the others.
 """
 
 from __future__ import annotations
@@ -39,9 +40,13 @@ def reconfigured(change: ImuChange, blind: bool) -> Callable[[Filter], None]:
             q[:] = quat_normalize(quat_multiply(q, quat_from_rotvec(turned)))
         else:
             # in every direction: over the seconds in question the unit may have turned
-            tilt = _GROWN * np.linalg.norm(pushed) / change.over / _GRAVITY
-            _widen(f, st.VELOCITY, np.full(3, pushed @ pushed))
-            _widen(f, st.PHI, np.full(3, turned @ turned) + tilt**2 * _LEVEL)
+            push, turn = pushed @ pushed, turned @ turned
+            rate = (_GROWN / change.over) ** 2
+            _widen(f, st.POSITION, np.full(3, push * (0.5 * change.over) ** 2))
+            _widen(f, st.VELOCITY, np.full(3, push))
+            _widen(f, st.PHI, np.full(3, turn) + rate * push / _GRAVITY**2 * _LEVEL)
+            _widen(f, st.GYRO_BIAS, np.full(3, rate * turn))
+            _widen(f, st.ACCEL_BIAS, np.full(3, rate * push))
         _widen(f, st.GYRO_BIAS, change.bias[0] ** 2)
         _widen(f, st.ACCEL_BIAS, change.bias[1] ** 2)
 

@@ -5,17 +5,22 @@ smoothly, and everything it refuses tells the same story. But a claim of sigmas 
 like the first, and a filter that trusts nobody never comes back: after `PATIENCE` times as long it gives in
 anyway.
 
+That the wheels do not slide is no measurement but an assumption. Where fixes agree with the filter all the
+while, it is the vehicle that slides, or an inertial sensor that fails, and nothing is to be believed.
+
 The variances that the measurement speaks about grow until its residual is within one sigma. A diagonal
 addition keeps the covariance positive and its correlations honest.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
 from nav.filter.measurements import Measurement
+from nav.filter.records import Book
 from nav.types import Vector
 
 PATIENCE: Final = 10
@@ -44,6 +49,14 @@ def inflate(P: Vector, measurement: Measurement, residual: Vector, elapsed: floa
     if measurement.name == "gnss_position":
         for i in range(3, 6):
             P[i, i] += (size / max(elapsed, 1.0)) ** 2
+
+
+def contradicted(measurement: Measurement, books: Mapping[str, Book]) -> bool:
+    """Whether fixes have agreed with the filter since its gate was shut to what is only assumed."""
+    if measurement.name != "non_holonomic":
+        return False
+    since = books[measurement.name][2]
+    return max(books["gnss_position"][0], books["gnss_velocity"][0]) > since
 
 
 def agree(residuals: Vector) -> bool:
