@@ -93,7 +93,8 @@ def add_parser(subparsers: Any) -> argparse.ArgumentParser:
         "--grade",
         action="append",
         metavar="NAME",
-        help="fog, mems, rlg (default: all) or, with a plan of second-order terms, dtg; may be given again",
+        help="fog, mems, rlg, tactical (default: all) or, with a plan of second-order terms, dtg; may be "
+        "given again",
     )
     units.add_argument(
         "--encoder",

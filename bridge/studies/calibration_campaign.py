@@ -293,7 +293,7 @@ def lines(every: Sequence[Rounds]) -> list[str]:
         )
         kurtosis, distance = one.shape
         rows.append(
-            f"  a normal law has a largest like this with the chance {one.chance:.2f}; excess kurtosis "
+            f"  a normal law has a largest like this with the chance {one.chance:.2g}; excess kurtosis "
             f"{kurtosis:+.2f}, distance from its distribution {distance:.3f}"
         )
         rows += [f"  seed {r.seed}: {r.false}" for r in one.rounds if r.false is not None]
