@@ -37,5 +37,5 @@ def test_how_often_a_normal_law_has_a_largest_like_this() -> None:
     errors[3, 4] = -4.5
     found = rounds(errors)
     assert found.chance == pytest.approx(1.0 - (1.0 - 2.0 * stats.norm.sf(4.5)) ** errors.size, rel=1e-6)
-    assert f"with the chance {found.chance:.2f}" in "\n".join(lines([found]))
+    assert f"with the chance {found.chance:.2g}" in "\n".join(lines([found]))
     assert document([found])["grades"]["fog"]["chance"] == found.chance
