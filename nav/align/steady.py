@@ -11,6 +11,10 @@ second of a slow roll has a steady rate, which only the force, turning as much, 
 line may be off is told by the velocity of the sway: as configured, as the velocity increments show it, and as
 an IMU that is ``ARM`` from the point about which it turns would have it. It is the velocity that has a bound:
 one of s m/s makes a slope over T vary by 72 s^2/T^4, the line's end by 20 s^2/T^2 (least squares, by parts).
+
+What stands does not turn at all, and then the gyros' mean is a better bias than the force's slope. So of the
+turning that the force shows only what exceeds its own variance is believed (James and Stein's estimate): none
+of a parked car's, nearly all of a boat's.
 """
 
 from __future__ import annotations
@@ -106,16 +110,21 @@ def stood(steady: Steady, config: AlignConfig) -> Stood | None:
     both = spread[_T : _T2 + 1, _T : _T2 + 1]
     seen = A @ spread @ A.T - A @ spread[:, _T : _T2 + 1] @ np.linalg.pinv(both) @ spread[_T : _T2 + 1] @ A.T
     turning = float(turned @ turned) + float(np.trace(spread[_W, _W]))
-    sway = config.sway**2 + ARM**2 * turning + max(0.0, float(np.trace(seen))) / 3.0 * n / max(1.0, n - 3.0)
+    shaken = config.sway**2 + max(0.0, float(np.trace(seen))) / 3.0 * n / max(1.0, n - 3.0)
     walk, push = config.angle_random_walk**2, config.velocity_random_walk**2
     T = math.sqrt(12.0 * float(spread[_T, _T]))
-    drift = (72.0 * sway / T**4 + 12.0 * push / T**3) / g**2 + 1.2 * walk / T
+    # it stands or it turns: what turning is seen beyond what sway without any would show is believed
+    standing = (72.0 * shaken / T**4 + 12.0 * push / T**3) / g**2 + 1.2 * walk / T
+    seen_turn = float(turned @ turned)
+    share = max(0.0, 1.0 - 2.0 * standing / seen_turn) if seen_turn > 0.0 else 0.0
+    sway, still = shaken + ARM**2 * turning, walk / seconds
+    drift = (1.0 - share) * still + share * (standing + 72.0 * ARM**2 * turning / T**4 / g**2)
     tilt = (20.0 * sway / T**2 + 4.0 * push / T + config.accel_bias**2) / g**2 + 2.0 / 15.0 * walk * T
     # about the vertical nothing tells a turn from a bias: as much as it turned about level axes
-    about = walk / seconds + 0.5 * float(turned @ turned)
+    about = still + 0.5 * share * seen_turn
     return Stood(
         force=f0 + at_end,
-        bias=steady.rate + level + up * (up @ mean[_W]),
+        bias=steady.rate + rate - share * turned + up * (up @ mean[_W]),
         tilt=tilt,
         # or as rates were seen to scatter, where that is more
         drift=np.maximum(drift + (about - drift) * up**2, np.diag(spread[_W, _W]) / n),
