@@ -66,11 +66,15 @@ class Trial(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """What one seed makes of a trial: configuration, samples in the order of arrival, and truth."""
+    """What one seed makes of a trial: configuration, samples in the order of arrival, and truth.
+
+    The messages are dated ``late`` wrong, in sigmas of what the configuration says of it.
+    """
 
     config: AlignConfig
     samples: list[Arriving]
     flown: Flown
+    late: float
 
 
 class Outcome(NamedTuple):
@@ -78,7 +82,7 @@ class Outcome(NamedTuple):
 
     ``phi`` (K, 3) about east, north, up, true C_gb = (I + [phi x]) the one said, and ``relative`` (K, 3) less
     the master's own; the covariances ``P``, ``P_relative`` (K, 3, 3) of these. NaN from where it refused, for
-    the reason in ``refusal``; ``cpu_s`` is what it took.
+    the reason in ``refusal``; ``cpu_s`` is what it took. ``late`` is the flight's.
     """
 
     phi: Array
@@ -87,6 +91,7 @@ class Outcome(NamedTuple):
     P_relative: Array
     refusal: str
     cpu_s: float
+    late: float
 
 
 def flight(trial: Trial, seed: int) -> Flight:
@@ -98,7 +103,8 @@ def flight(trial: Trial, seed: int) -> Flight:
     assert told is not None
     rng = generator(seed, "transfer/told")
     off = told.sigma_lever_arm * rng.standard_normal(3)
-    late_ns = round(1e9 * told.latency * float(rng.standard_normal()))
+    late = float(rng.standard_normal())
+    late_ns = round(1e9 * told.latency * late)
     samples = [
         s._replace(t_ns=s.t_ns + late_ns) if isinstance(s, MasterState) else s
         for s in made.samples
@@ -109,7 +115,7 @@ def flight(trial: Trial, seed: int) -> Flight:
         # it goes on to the last epoch
         transfer=replace(told, lever_arm=told.lever_arm + off, duration=math.inf, patience=math.inf),
     )
-    return Flight(config, samples, made.flown)
+    return Flight(config, samples, made.flown, late)
 
 
 def follow(matching: str, what: Flight, epochs_s: Sequence[float]) -> Outcome:
@@ -137,7 +143,7 @@ def follow(matching: str, what: Flight, epochs_s: Sequence[float]) -> Outcome:
     nothing = np.full(3, math.nan), np.full((3, 3), math.nan)
     found += [(*nothing, *nothing)] * (len(epochs_s) - len(found))
     phi, P, relative, P_relative = (np.array([one[k] for one in found]) for k in range(4))
-    return Outcome(phi, P, relative, P_relative, refusal, spent)
+    return Outcome(phi, P, relative, P_relative, refusal, spent, what.late)
 
 
 def least(matching: Matching, trial: Trial, epochs_s: Sequence[float]) -> Array:

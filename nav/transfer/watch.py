@@ -98,7 +98,8 @@ class Watch:
         self._ages: deque[float] = deque(maxlen=LOOK)
         self._jump = 0.0  # of the age of messages, s
         self._fresh_ns: int | None = None  # the last time that the master said something new
-        self._heard_ns: int | None = None  # the last that it said anything of use, or the first that it did not
+        # the last time that it said anything of use, or the first that it did not
+        self._heard_ns: int | None = None
         self._missing = "message"  # what there has been none of since then
         self._last: MasterState | None = None
 

@@ -67,13 +67,14 @@ def test_refused_flights_are_told_and_are_no_success(monkeypatch: pytest.MonkeyP
     def refused(matching: str, *rest: object) -> Outcome:
         nothing = np.full((transfer.EPOCHS, 3), math.nan)
         covariance = np.full((transfer.EPOCHS, 3, 3), math.nan)
-        return Outcome(nothing, covariance, nothing, covariance, "no master", 0.0)
+        return Outcome(nothing, covariance, nothing, covariance, "no master", 0.0, -4.0)
 
     monkeypatch.setattr(transfer, "follow", refused)
     pair = transfer.Pair("in vain", BRIEF, "velocity_attitude")
     found = transfer.compute(2, pairs=(pair,), others=())
     assert [(row.name, row.ours, row.passed) for row in found.rows] == [("in vain: refused", 100.0, False)]
-    assert 'in vain: 2 of 2 refused: "no master"' in found.notes
+    told = 'in vain: one of 2 refused, its messages dated 4.0 sigma wrong: "no master"'
+    assert found.notes.count(told) == 2
 
 
 def test_a_flight_that_ends_too_early_is_refused() -> None:
@@ -91,7 +92,8 @@ def test_too_few_states_are_judged_by_what_they_can_know_beside_print_and_bound(
 
     def judged(factor: float, short: bool) -> dict[str, tuple[bool | None, str]]:
         runs = [
-            Outcome(factor * phi, P, factor * phi, P, "", 1.0) for phi, P in zip(spread, known, strict=True)
+            Outcome(factor * phi, P, factor * phi, P, "", 1.0, 0.0)
+            for phi, P in zip(spread, known, strict=True)
         ]
         pair = transfer.Pair("few", BRIEF, "velocity", (1.0, 1.0, 1.0), "five", short)
         numbers = transfer._numbers(pair, runs, np.full((transfer.EPOCHS, 3), 2e-4))

@@ -277,8 +277,9 @@ def _claimed(numbers: dict[str, Any], name: str) -> float:
 
 
 def _refusals(pair: Pair, runs: Sequence[Outcome]) -> list[str]:
-    reasons = [run.refusal for run in runs if run.refusal]
     return [
-        f'{pair.name}: {reasons.count(reason)} of {len(runs)} refused: "{reason}"'
-        for reason in dict.fromkeys(reasons)
+        f"{pair.name}: one of {len(runs)} refused, its messages dated {abs(run.late):.1f} sigma wrong: "
+        f'"{run.refusal}"'
+        for run in runs
+        if run.refusal
     ]
