@@ -222,9 +222,9 @@ def test_the_bus_carries_what_the_capture_leads_to(
 
 def test_the_solution_is_where_the_vehicle_is(bus: Frames) -> None:
     """Against the receiver's fixes at the same GPS time, so that it does not matter how busy the host is."""
-    solutions = epochs(bus, "SOL_TIME", "TIME")
-    fixes = epochs(bus, "GNSS_TIME", "TOW")
-    times = np.array(sorted(time for time in solutions if "LAT" in solutions[time]))
+    solutions = epochs(bus, "SOL_TIME", "TIME", "SOL_SIGMA_VEL")
+    fixes = epochs(bus, "GNSS_TIME", "TOW", "GNSS_ACC")
+    times = np.array(sorted(solutions))
     compared = []
     for tow, fix in fixes.items():
         at = int(np.searchsorted(times, tow))
@@ -247,19 +247,22 @@ def test_the_solution_is_where_the_vehicle_is(bus: Frames) -> None:
     assert turned_by < 3.0
 
 
-def epochs(bus: Frames, first: str, clock: str) -> dict[float, dict[str, float]]:
-    """Signals of all messages of one device's epoch, by the time that its first message carries."""
+def epochs(bus: Frames, first: str, clock: str, last: str) -> dict[float, dict[str, float]]:
+    """Signals of all messages of one device's epoch, by the time that its first message carries.
+
+    Of epochs that came as far as their ``last`` message: the record may end within one.
+    """
     device = first.split("_")[0]
     found: dict[float, dict[str, float]] = {}
-    current: dict[str, float] = {}
+    time, current = math.nan, dict[str, float]()
     for _, name, signals in bus:
         if name == first:
-            if signals.get("TIME_BASE", 1) != 1:  # not yet in GPS time
-                current = {}
-                continue
-            current = found.setdefault(float(signals[clock]), {})
+            time, current = float(signals[clock]), {}
         if name.startswith(device):
             current.update({key: float(value) for key, value in signals.items()})
+        # a receiver's time is GPS time, the bridge's as soon as it says so
+        if name == last and math.isfinite(time) and current.get("TIME_BASE", 1.0) == 1.0:
+            found[time] = current
     return found
 
 
