@@ -345,6 +345,7 @@ class Measurement:
     ``rank`` orders measurements of one instant, ``rows`` is the number of its residuals. When its gate
     has been shut for too long, the variances of ``recover`` states grow (see `nav.filter.recovery`). One with
     ``path`` is compared with the path since the last odometer epoch, which must cover its duration ``z[1]``.
+    An assumption ``yields`` to the kinds of measurements that agree with the filter meanwhile.
     """
 
     name: str
@@ -353,6 +354,7 @@ class Measurement:
     kernel: MeasurementKernel
     recover: tuple[slice, ...]
     path: bool = False
+    yields: tuple[str, ...] = ()
     gate: float = field(init=False)
     """Largest NIS that is accepted."""
 
@@ -362,6 +364,7 @@ class Measurement:
 
 
 _P, _V, _PHI = slice(0, 3), slice(3, 6), slice(6, 9)
+_FIXES: Final = ("gnss_position", "gnss_velocity")
 
 MEASUREMENTS: Final[dict[str, Measurement]] = {
     m.name: m
@@ -371,7 +374,7 @@ MEASUREMENTS: Final[dict[str, Measurement]] = {
         Measurement("barometer", 2, 1, barometer, (slice(18, 19),)),
         Measurement("odometer", 3, 1, odometer, (slice(15, 16),), path=True),
         Measurement("speed", 4, 1, speed, (slice(15, 16),)),
-        Measurement("non_holonomic", 5, 2, non_holonomic, (slice(16, 18),), path=True),
+        Measurement("non_holonomic", 5, 2, non_holonomic, (slice(16, 18),), path=True, yields=_FIXES),
         Measurement("zero_velocity", 6, 3, zero_velocity, (_V,)),
         Measurement("zero_rate", 7, 3, zero_rate, (slice(9, 12),)),
     )

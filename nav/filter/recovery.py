@@ -52,11 +52,9 @@ def inflate(P: Vector, measurement: Measurement, residual: Vector, elapsed: floa
 
 
 def contradicted(measurement: Measurement, books: Mapping[str, Book]) -> bool:
-    """Whether fixes have agreed with the filter since its gate was shut to what is only assumed."""
-    if measurement.name != "non_holonomic":
-        return False
+    """Whether what it yields to has agreed with the filter since the gate was shut to it."""
     since = books[measurement.name][2]
-    return max(books["gnss_position"][0], books["gnss_velocity"][0]) > since
+    return any(books[kind][0] > since for kind in measurement.yields)
 
 
 def agree(residuals: Vector) -> bool:
